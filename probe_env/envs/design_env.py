@@ -29,7 +29,7 @@ from probe_env.envs.trials import (
     Controller,
     check_candidate,
     judge,
-    stretch_of,
+    segment_of,
     try_insertions,
     try_sections,
 )
@@ -110,7 +110,7 @@ class DesignEnv(gym.Env[Observation, Observation]):
             raise ValueError(f"render_mode = {render_mode!r}: a design is not rendered; see Insertion-v1 with options")
         self.config, left = resolve_settings({}, config, cast(EpisodeSettings, settings))
         self.contexts = left.get("contexts", DEFAULTS["contexts"])
-        stretch_of(self.config)  # refuses a helix that is too short
+        segment_of(self.config)  # refuses a helix that is too short
         # an insertion settles like that of Insertion-v1; the probes are those that the action may build
         self.sampler = EpisodeSampler(self.config, self.contexts, "random", *settling(self.config, {}))
         self.fidelity = resolve_fidelity(left.get("fidelity", DEFAULTS["fidelity"]), self.sampler.stiffest, full)

@@ -134,7 +134,7 @@ class TubeSegment(NamedTuple):
         return self.end - SENSOR_START
 
 
-def stretch_of(config: TaskConfig) -> TubeSegment:
+def segment_of(config: TaskConfig) -> TubeSegment:
     """The stretch of a task's helix.
 
     Raises:
@@ -226,7 +226,7 @@ def judge(
         ValueError: the task's vibration measure is not one of ``JUDGED``.
     """
     check_measure(config)
-    span = stretch_of(config).span
+    span = segment_of(config).span
     guides = np.array([design.built.guide_length for design in designs])
     covered = trial.widths.sum(axis=1)
     missed = np.maximum(span - covered, 0.0)
@@ -277,7 +277,7 @@ def try_sections(
     Raises:
         ValueError: a policy, or a schedule over time; or a helix that is too short.
     """
-    fidelity, stretch = fidelity or Fidelity(), stretch_of(config)
+    fidelity, stretch = fidelity or Fidelity(), segment_of(config)
     shape = (len(candidates), len(stretch.positions))
     scenes, blown = [], []
     for candidate in candidates:
@@ -324,7 +324,7 @@ def sections_of(design: Design, context: Context, feed: Schedule, config: TaskCo
     """Scene at the start and air supply [m3/s] of a design in a tube, for each position of the task's stretch."""
     base = config.scene
     probe, tube, sections = design.probe(base.probe), context.apply(base), []
-    for position in stretch_of(config).positions:
+    for position in segment_of(config).positions:
         carrier = round(round(position / probe.float_pitch) * probe.float_pitch, 6)
         inserted = carrier + probe.guide_length
         fed, blown = config.given(*feed.at(inserted))[0].tolist()
@@ -377,7 +377,7 @@ def try_insertions(
         if isinstance(candidate.feed, Schedule):
             raise ValueError("feed: a whole insertion is fed by a policy; make one of the schedule")
         policies.append(candidate.feed)
-    count, stretch = len(candidates), stretch_of(config)
+    count, stretch = len(candidates), segment_of(config)
     episodes = Episodes(count, config, threads=threads, allow_standstill=True, fidelity=fidelity)
     designs = [candidate.design.built for candidate in candidates]
     options = {k: {"context": c.context, "probe": designs[k].model_dump()} for k, c in enumerate(candidates)}

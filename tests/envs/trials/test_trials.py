@@ -23,7 +23,7 @@ from probe_env.envs.trials import (
     check_measure,
     judge,
     sections_of,
-    stretch_of,
+    segment_of,
     try_insertions,
     try_sections,
 )
@@ -49,7 +49,7 @@ def task(helix_length, **fields):
 )
 def test_sections_are_spread_over_what_the_longest_guide_leaves(helix_length, positions):
     """Every place of the stretch is counted once, with the section that is nearest to it."""
-    stretch = stretch_of(task(helix_length))
+    stretch = segment_of(task(helix_length))
     assert stretch.positions == pytest.approx(positions)
     assert stretch.end == helix_length - LONGEST
     assert sum(stretch.widths) == pytest.approx(stretch.span) == helix_length - LONGEST - SENSOR_START
@@ -90,7 +90,7 @@ def test_the_environment_tries_probes_in_the_whole_helix_of_a_tube(helix_length,
     assert info["context"]["helix_diameter"] in (1.0, 2.0)
     _, _, _, _, info = env.step(DesignEnv.action_of(Design()))
     assert info["kpis"]["inspected_m"] + info["kpis"]["missed_m"] == pytest.approx(helix_length - 5.0, abs=0.01)
-    covered = stretch_of(env.unwrapped.config).span - info["kpis"]["missed_m"]
+    covered = segment_of(env.unwrapped.config).span - info["kpis"]["missed_m"]
     assert covered > 0.0
     assert info["kpis"]["inspection_time_s"] == pytest.approx(covered / 0.1, rel=0.01)  # the nearest to 0.2 m/s
 
