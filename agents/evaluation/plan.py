@@ -34,7 +34,7 @@ from probe_env.envs.episodes import Step
 from probe_env.envs.episodes.starts import Probes
 from probe_env.envs.surrogate import make_episodes
 from probe_env.envs.task import SHOWN, TaskConfig, describe
-from probe_env.envs.trials import Players
+from probe_env.envs.trials import PolicyBatch
 from probe_env.envs.vibration_map import VibrationMap
 from probe_env.files import FileError
 from probe_env.inspection.metrics import with_pod_columns
@@ -250,7 +250,7 @@ class RolloutRunner:
         self.last: Step | None = None
         self.active: BoolArray = np.zeros(count, dtype=bool)
         self._probes: dict[int, dict[str, float]] = {}
-        self._players = Players(count)
+        self._players = PolicyBatch(count)
         self._observation: npt.NDArray[np.float32] = self.episodes.observation.copy()
 
     @property

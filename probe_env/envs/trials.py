@@ -52,7 +52,7 @@ class ModelPredictivePolicy(Protocol):
         """
 
 
-class Players:
+class PolicyBatch:
     """Policies that act in N episodes side by side, each with the memory of its own episode."""
 
     def __init__(self, count: int) -> None:
@@ -103,7 +103,7 @@ def periods_of(
         policies: N, whose episode is each.
         observation: (N, d) that the reset gave.
     """
-    players = Players(len(policies))
+    players = PolicyBatch(len(policies))
     for k, policy in enumerate(policies):
         players.begin(k, policy)
     simulated = episodes if isinstance(episodes, Episodes) else None
