@@ -28,7 +28,7 @@ from probe_env import Context, Fidelity
 from probe_env.arrays import FloatArray
 from probe_env.envs.episodes import Episodes
 from probe_env.envs.task import END_TOLERANCE, TaskConfig
-from probe_env.envs.trials import periods_of
+from probe_env.envs.trials import rollout
 from probe_env.fidelity import resolve_fidelity
 from probe_env.inspection.channels import (
     Flaw,
@@ -203,7 +203,7 @@ def insert(
     guide = episodes.batch.simulators[0].scene.probe.guide_length
     positions, periods, radial = [started[0]["inserted_length"] - guide], list[dict[str, Any]](), []
     with tqdm(desc="sensor at", initial=positions[0], unit="m", bar_format="{desc} {n:.1f} {unit} [{elapsed}]") as bar:
-        for step, _ in periods_of(episodes, [policy], observation):
+        for step, _ in rollout(episodes, [policy], observation):
             info = step.infos[0]
             if info["diverged"]:
                 raise RuntimeError(f"the simulation diverged at {info['inserted_length']:.4g} m: nothing is shown")

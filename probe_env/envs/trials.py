@@ -93,7 +93,7 @@ class PolicyBatch:
         return actions
 
 
-def periods_of(
+def rollout(
     episodes: Episodes, policies: Sequence[Controller], observation: npt.NDArray[np.float32]
 ) -> Iterator[tuple[Step, BoolArray]]:
     """Play what has been reset until it has ended; gives every period and which (N,) were in it.
@@ -389,7 +389,7 @@ def try_insertions(
     failed = {name: np.zeros(count, dtype=bool) for name in FAILURES}
     guides = np.array([design.guide_length for design in designs])
     inspected, blown = np.zeros(count), np.zeros(count)
-    for step, active in periods_of(episodes, policies, observation):
+    for step, active in rollout(episodes, policies, observation):
         before, inspected = inspected, np.array([metrics.inspected for metrics in episodes.scorer.metrics])
         blown_before, blown = blown, np.array([metrics.air for metrics in episodes.scorer.metrics])
         for k in np.flatnonzero(active).tolist():
