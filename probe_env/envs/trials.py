@@ -201,15 +201,15 @@ def seeds_of(candidates: Sequence[Candidate]) -> list[int]:
     return [k if candidate.seed is None else int(candidate.seed) for k, candidate in enumerate(candidates)]
 
 
-JUDGED: Final = ("displacement", "snr")
+DESIGN_MEASURES: Final = ("displacement", "snr")
 """Vibration measures that designs are judged by."""
 
 
 def check_measure(config: TaskConfig) -> None:
     """Raise ValueError unless designs can be judged by the task's vibration measure."""
-    if config.vibration_measure not in JUDGED:
+    if config.vibration_measure not in DESIGN_MEASURES:
         raise ValueError(
-            f"vibration_measure = {config.vibration_measure!r}: designs are judged by {' or '.join(JUDGED)}"
+            f"vibration_measure = {config.vibration_measure!r}: designs are judged by {' or '.join(DESIGN_MEASURES)}"
         )
 
 
@@ -223,7 +223,7 @@ def judge(
     probe inspect.
 
     Raises:
-        ValueError: the task's vibration measure is not one of ``JUDGED``.
+        ValueError: the task's vibration measure is not one of ``DESIGN_MEASURES``.
     """
     check_measure(config)
     span = segment_of(config).span
