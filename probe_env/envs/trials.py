@@ -162,7 +162,7 @@ def _stretch(helix_length: float, lost_drive_from: float) -> TubeSegment:
     return TubeSegment(end, positions, widths)
 
 
-FOUND_KPIS: Final = ("a50_percent_wall", "a90_percent_wall", "length_with_snr_over_3_m", "noise_peak_to_peak_v")
+DETECTION_KPIS: Final = ("a50_percent_wall", "a90_percent_wall", "length_with_snr_over_3_m", "noise_peak_to_peak_v")
 """What whole insertions are told by of what would be found, see ``inspection.metrics``."""
 LEAST_SNR: Final = 1e-3
 """What no signal at all counts as, so that its inverse is finite."""
@@ -193,7 +193,7 @@ class Trial:
     failed: Mapping[str, BoolArray]  # (N,) whether it ended so, by each of ``FAILURES``
     inspected: FloatArray | None = None  # (N,) to the end, where that was simulated
     noise: FloatArray | None = None  # over the signal of a 20 % groove, where the task is judged by that
-    detection: Mapping[str, FloatArray] = field(default_factory=dict)  # (N,) of each of ``FOUND_KPIS``
+    detection: Mapping[str, FloatArray] = field(default_factory=dict)  # (N,) of each of ``DETECTION_KPIS``
 
 
 def seeds_of(candidates: Sequence[Candidate]) -> list[int]:
@@ -428,5 +428,5 @@ def try_insertions(
         failed=failed,
         inspected=inspected,
         noise=np.sqrt(np.where(seen, sums["noise"] / travel, 0.0)) if config.vibration_measure == "snr" else None,
-        detection={name: np.array([row[name] for row in found]) for name in FOUND_KPIS},
+        detection={name: np.array([row[name] for row in found]) for name in DETECTION_KPIS},
     )
