@@ -28,7 +28,7 @@ from probe_env.envs.trials import (
     Candidate,
     Controller,
     check_candidate,
-    judge,
+    score_designs,
     segment_of,
     try_insertions,
     try_sections,
@@ -185,7 +185,7 @@ class DesignEnv(gym.Env[Observation, Observation]):
             trial = try_insertions([candidate], self.config, self.fidelity, threads=1)
         else:
             trial = try_sections([candidate], self.config, self.fidelity)
-        terms, kpis = judge([design], trial, self.config)
+        terms, kpis = score_designs([design], trial, self.config)
         info = {
             "design": design.built.model_dump(),
             "context": self.context.model_dump(),

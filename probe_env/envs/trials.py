@@ -213,7 +213,7 @@ def check_measure(config: TaskConfig) -> None:
         )
 
 
-def judge(
+def score_designs(
     designs: Sequence[Design], trial: Trial, config: TaskConfig
 ) -> tuple[dict[str, FloatArray], dict[str, FloatArray]]:
     """Reward terms and KPIs (N,) of designs, by the weights of the insertion task.

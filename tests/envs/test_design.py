@@ -13,7 +13,7 @@ from probe_env import Context, Design, Fidelity, Scene, TaskConfig
 from probe_env.design import RANGES
 from probe_env.envs.design_env import STUDY_FEED, DesignEnv
 from probe_env.envs.task import uninspected_weight
-from probe_env.envs.trials import Candidate, Trial, judge, try_insertions, try_sections
+from probe_env.envs.trials import Candidate, Trial, score_designs, try_insertions, try_sections
 from probe_env.schedule import Schedule
 
 ROOT = Path(__file__).parents[2]
@@ -117,7 +117,7 @@ def handmade(rms, tension=(4.0, 4.0), diverged=False, widths=(20.0, 27.5)):
 
 
 def test_the_judgement_by_hand():
-    terms, kpis = judge([Design()], handmade((5e-5, 5e-4)), CONFIG)
+    terms, kpis = score_designs([Design()], handmade((5e-5, 5e-4)), CONFIG)
     assert terms["vibration"][0] == pytest.approx(-(20.0 * 0.25 + 27.5 * 9.0))  # the ratio is capped at 3
     assert terms["time"][0] == pytest.approx(-0.1 * 47.5 / 0.2)
     assert terms["air"][0] == pytest.approx(-0.2 * 0.02 * 47.5 / 0.2)
@@ -129,7 +129,7 @@ def test_the_judgement_by_hand():
 
 
 def test_what_is_not_reached_costs_the_most():
-    terms, kpis = judge([IMPROVED], handmade((5e-5, 0.0), diverged=True, widths=(20.0, 0.0)), CONFIG)
+    terms, kpis = score_designs([IMPROVED], handmade((5e-5, 0.0), diverged=True, widths=(20.0, 0.0)), CONFIG)
     assert kpis["missed_m"][0] == pytest.approx(27.5)
     assert kpis["inspected_m"][0] == pytest.approx(20.0)
     assert terms["uninspected"][0] == pytest.approx(-27.5 * uninspected_weight(CONFIG))
@@ -140,7 +140,7 @@ def test_lost_drive_ends_the_inspection():
     """With 30 m3/h small floats and a fast feed have hardly any pull left."""
     weak = Schedule("inserted_length", "linear", (5.0,), (0.4,), (20.0 / 3600.0,))
     trial = try_sections([Candidate(IMPROVED, Context(), weak)], CONFIG)
-    _, kpis = judge([IMPROVED], trial, CONFIG)
+    _, kpis = score_designs([IMPROVED], trial, CONFIG)
     assert kpis["lost_drive"][0] == 1.0
     assert kpis["drive_margin_n"][0] < 0.0
     assert kpis["missed_m"][0] > 0.0
@@ -151,7 +151,7 @@ def test_whole_insertions_are_judged_over_the_same_span():
     coarse = Fidelity(time_lapse=20.0)
     designs = [Design(), IMPROVED]
     trial = try_insertions([Candidate(d, Context(), Constant(CONFIG)) for d in designs], CONFIG, coarse)
-    terms, kpis = judge(designs, trial, CONFIG)
+    terms, kpis = score_designs(designs, trial, CONFIG)
     assert trial.widths.sum(axis=1) == pytest.approx(SPAN)
     assert kpis["inspection_time_s"] == pytest.approx(SPAN / 0.2, rel=0.01)
     assert kpis["inspected_m"] == pytest.approx([55.0, 47.5], abs=0.01)  # the sensor's own way, not the span
@@ -159,7 +159,7 @@ def test_whole_insertions_are_judged_over_the_same_span():
     assert set(terms) == {"progress", "vibration", "time", "air", "uninspected", "diverged"}
     assert (kpis["length_with_snr_over_3_m"] <= kpis["inspected_m"]).all()
     assert kpis["a90_percent_wall"][0] > kpis["a90_percent_wall"][1] > kpis["a50_percent_wall"][1]  # what rings, hides
-    assert "a90_percent_wall" not in judge([Design()], handmade((5e-5, 5e-4)), CONFIG)[1]
+    assert "a90_percent_wall" not in score_designs([Design()], handmade((5e-5, 5e-4)), CONFIG)[1]
     env = DesignEnv(fidelity=coarse, full=True, feed=STUDY_FEED)
     env.reset(seed=0, options={"context": Context()})
     _, _, _, _, info = env.step(DesignEnv.action_of(Design()))
@@ -171,7 +171,7 @@ def test_a_probe_that_loses_its_drive_finds_nothing_in_the_rest():
     """With 20 m3/h small floats and a fast feed have hardly any pull left: it is charged for what it does not reach."""
     weak = Constant(CONFIG, feed_speed=0.4, air_supply_rate=20.0 / 3600.0)
     trial = try_insertions([Candidate(IMPROVED, Context(), weak)], CONFIG, Fidelity(time_lapse=20.0))
-    _, kpis = judge([IMPROVED], trial, CONFIG)
+    _, kpis = score_designs([IMPROVED], trial, CONFIG)
     assert kpis["lost_drive"][0] == 1.0
     assert 0.0 < kpis["inspected_m"][0] < 40.0
     assert kpis["a90_percent_wall"][0] == 100.0
@@ -195,7 +195,7 @@ def test_the_countermeasures_quieten_the_probe(seeds):
     both = ([Design()] * 4 + [IMPROVED] * 4) * starts
     places = zip(both, tubes * 2 * starts, np.repeat(seeds(starts), 8).tolist(), strict=True)
     tried = [Candidate(design, tube, STUDY_FEED, seed) for design, tube, seed in places]
-    _, kpis = judge(both, try_sections(tried, CONFIG), CONFIG)
+    _, kpis = score_designs(both, try_sections(tried, CONFIG), CONFIG)
     original, improved = np.log(kpis["radial_rms_m"].reshape(starts, 2, 4)).mean(axis=0)
     each = np.array([of_another(d, 16, among=5, members=starts) for d in QUIETER_DEVIATIONS])
     assert (QUIETER + each < 0.0).all()

@@ -21,7 +21,7 @@ from probe_env.envs.trials import (
     Candidate,
     check_candidate,
     check_measure,
-    judge,
+    score_designs,
     sections_of,
     segment_of,
     try_insertions,
@@ -75,7 +75,7 @@ def test_the_last_section_is_the_simulator_s_own_run():
     window = alone.advance(None, None, MEASURE)
     assert trial.radial_rms[1, -1] == window.statistics["radial_rms_m"][0]
     assert trial.root_tension[1, -1] == window.statistics["tension_mean_n"][0]
-    _, kpis = judge([Design(), IMPROVED], trial, config)
+    _, kpis = score_designs([Design(), IMPROVED], trial, config)
     assert kpis["inspected_m"][1] + kpis["missed_m"][1] == pytest.approx(helix_length - 10.0 - SENSOR_START)
 
 
@@ -203,7 +203,7 @@ def test_the_reward_counts_noise_over_signal(tried):
     designs, span = [Design(), Design()], noisy.widths.sum(axis=1)
     for share in (1.0, 0.5):
         same = replace(noisy, noise=np.full_like(noisy.noise, share / 3.0))
-        terms, kpis = judge(designs, same, SNR)
+        terms, kpis = score_designs(designs, same, SNR)
         assert terms["vibration"] == pytest.approx(-4.0 * share**2 * span, rel=1e-9)
         assert kpis["share_within_limit"] == pytest.approx(1.0, abs=1e-9)
 
