@@ -196,7 +196,7 @@ class Trial:
     detection: Mapping[str, FloatArray] = field(default_factory=dict)  # (N,) of each of ``DETECTION_KPIS``
 
 
-def seeds_of(candidates: Sequence[Candidate]) -> list[int]:
+def start_seeds(candidates: Sequence[Candidate]) -> list[int]:
     """Of the starts."""
     return [k if candidate.seed is None else int(candidate.seed) for k, candidate in enumerate(candidates)]
 
@@ -296,7 +296,7 @@ def try_sections(
     )
     batch = SimulatorBatch(
         scenes, fidelity.method, fidelity.time_step, fidelity.nodes_per_pitch, threads=threads,
-        seeds=[seed for seed in seeds_of(candidates) for _ in stretch.positions], perturbation=PERTURBATION,
+        seeds=[seed for seed in start_seeds(candidates) for _ in stretch.positions], perturbation=PERTURBATION,
         air_lag=AIR_LAG,
     )  # fmt: skip
     settled = batch.advance(None, air, SETTLE, SAMPLE_PERIOD)
@@ -381,7 +381,7 @@ def try_insertions(
     episodes = Episodes(count, config, threads=threads, allow_standstill=True, fidelity=fidelity)
     designs = [candidate.design.built for candidate in candidates]
     options = {k: {"context": c.context, "probe": designs[k].model_dump()} for k, c in enumerate(candidates)}
-    rngs = {k: np.random.default_rng(seed) for k, seed in enumerate(seeds_of(candidates))}
+    rngs = {k: np.random.default_rng(seed) for k, seed in enumerate(start_seeds(candidates))}
     observation, _ = episodes.reset(range(count), rngs, options)
     places = int(np.ceil(stretch.span))
     names = ("travel", "seconds", "air", "square", "noise", "tension", "periods")
