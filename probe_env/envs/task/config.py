@@ -25,7 +25,7 @@ from probe_env.inspection.sensor import Sensor
 from probe_env.scene import Scene
 from probe_env.settings import Model, Range, quantity, range_of, tuples
 
-Inspects = Literal["in", "back", "best"]
+ScoredPass = Literal["in", "back", "best"]
 """What a metre counts for in an inspection of both passes."""
 Measure = Literal["displacement", "velocity", "acceleration", "snr"]
 MEASURES: Final[dict[Measure, tuple[str, float]]] = {
@@ -129,7 +129,7 @@ class RoundTrip(Model):
 
     passes: Literal["in", "both"] = "in"
     """Both: the probe is fed in to the helix's end and drawn back to where it began."""
-    inspects: Inspects = "best"
+    inspects: ScoredPass = "best"
     """What a metre counts for with both passes: insertion, withdrawal, or the better of both in each metre."""
 
     @property
