@@ -27,7 +27,7 @@ from probe_env.settings import whole_steps
 MOST_TURN: Final = 1.0  # [rad]
 REMEDY: Final = "give a stiffer contact, less drag or a wider helix"
 SHORTEST_STEP: Final = 1e-7  # [s], of a fidelity
-PULL_HOLDS: Final = 0.0125
+PULL_LIMIT: Final = 0.0125
 """Of T dt^2 / (rho p^2), T the tension of steady sliding: 20 insertions of table 2's probe in straight tubes, with 2 to
 10 times the drag, diverged at 2e-4 s from 0.0148 on (411 to 549 N)."""
 START_HOLDS: Final = 1.9
@@ -154,7 +154,7 @@ def _pulled_step(method: str, probe: Probe, start: float, end: float) -> float:
         return math.inf
     pitch = probe.line_density * probe.float_pitch
     return min(
-        START_HOLDS * pitch / max(start, 1e-9), math.sqrt(PULL_HOLDS * pitch * probe.float_pitch / max(end, 1e-9))
+        START_HOLDS * pitch / max(start, 1e-9), math.sqrt(PULL_LIMIT * pitch * probe.float_pitch / max(end, 1e-9))
     )
 
 
