@@ -30,7 +30,7 @@ SHORTEST_STEP: Final = 1e-7  # [s], of a fidelity
 PULL_LIMIT: Final = 0.0125
 """Of T dt^2 / (rho p^2), T the tension of steady sliding: 20 insertions of table 2's probe in straight tubes, with 2 to
 10 times the drag, diverged at 2e-4 s from 0.0148 on (411 to 549 N)."""
-START_HOLDS: Final = 1.9
+START_LIMIT: Final = 1.9
 """[m/s], of T dt / (rho p), T what drag pulls a probe with that starts at rest, before friction holds it: the wave that
 runs through it then is twice as high. Of 1000 such starts the least that diverged had 2.05 at 5e-4 s, 2.3 at 2e-4 s
 and 2.7 at 1e-4 s, in helices of 0.3 to 1 m; in straight tubes 2.6, 4.8, and none at 1e-4 s."""
@@ -154,7 +154,7 @@ def _pulled_step(method: str, probe: Probe, start: float, end: float) -> float:
         return math.inf
     pitch = probe.line_density * probe.float_pitch
     return min(
-        START_HOLDS * pitch / max(start, 1e-9), math.sqrt(PULL_LIMIT * pitch * probe.float_pitch / max(end, 1e-9))
+        START_LIMIT * pitch / max(start, 1e-9), math.sqrt(PULL_LIMIT * pitch * probe.float_pitch / max(end, 1e-9))
     )
 
 
