@@ -71,12 +71,12 @@ def check_simulable(scene: Scene, fidelity: Fidelity, longest: float, most_air: 
         limit = _longest_step(fidelity.method, scene, fidelity.nodes_per_pitch)
     except ValueError as error:
         raise ValueError(
-            f"contact_stiffness = {stiffness:g} N/m: {error}: give fidelity = {_that_holds(fidelity, scene)}"
+            f"contact_stiffness = {stiffness:g} N/m: {error}: give fidelity = {_stable_settings(fidelity, scene)}"
         ) from error
     if fidelity.time_step > limit * (1.0 + 1e-9):
         raise ValueError(
             f"contact_stiffness = {stiffness:g} N/m: {fidelity.method} holds with a time step of at most {limit:.2g} s,"
-            f" and that of this fidelity is {fidelity.time_step:g} s: give fidelity = {_that_holds(fidelity, scene)}"
+            f" and that of this fidelity is {fidelity.time_step:g} s: give fidelity = {_stable_settings(fidelity, scene)}"
         )
     softest = softest_wall(probe)
     if stiffness < softest:
@@ -109,7 +109,7 @@ def check_simulable(scene: Scene, fidelity: Fidelity, longest: float, most_air: 
         raise ValueError(
             f"{tube}: drag pulls the probe with {pull}: {fidelity.method} holds with a time step of at most"
             f" {pulled:.2g} s, and that of this fidelity is {fidelity.time_step:g} s: give fidelity ="
-            f" {_that_holds(fidelity, scene, start.tension, end.tension)}"
+            f" {_stable_settings(fidelity, scene, start.tension, end.tension)}"
         )
 
 
@@ -158,7 +158,7 @@ def _pulled_step(method: str, probe: Probe, start: float, end: float) -> float:
     )
 
 
-def _that_holds(fidelity: Fidelity, scene: Scene, start: float = 0.0, end: float = 0.0) -> str:
+def _stable_settings(fidelity: Fidelity, scene: Scene, start: float = 0.0, end: float = 0.0) -> str:
     """Settings that hold, the step a round one: by the same method, in double precision, on nodes."""
     steps = [float(f"{digit}e{power}") for power in range(-2, -8, -1) for digit in (5, 2, 1)]
     for method in dict.fromkeys((fidelity.method, fidelity.method.removesuffix("32"), "imex")):
