@@ -102,9 +102,9 @@ def check_simulable(scene: Scene, fidelity: Fidelity, longest: float, most_air: 
             f"{tube}: drag stretches the probe and presses it into the wall so that it turns by {turn:.2g} rad along"
             f" the helix, and the model holds up to {MOST_TURN:g} rad; {REMEDY}"
         )
-    pulled = _pulled_step(fidelity.method, probe, start.tension, end.tension)
+    pulled = _tension_step(fidelity.method, probe, start.tension, end.tension)
     if fidelity.time_step > pulled * (1.0 + 1e-9):
-        rests = _pulled_step(fidelity.method, probe, start.tension, 0.0) == pulled
+        rests = _tension_step(fidelity.method, probe, start.tension, 0.0) == pulled
         pull = f"{start.tension:.3g} N as it starts from rest" if rests else f"{end.tension:.3g} N as it slides"
         raise ValueError(
             f"{tube}: drag pulls the probe with {pull}: {fidelity.method} holds with a time step of at most"
@@ -148,7 +148,7 @@ def _longest_step(method: str, scene: Scene, nodes_per_pitch: int) -> float:
     return known.stable_step(scene, nodes_per_pitch) or known.contact_step(scene, nodes_per_pitch)
 
 
-def _pulled_step(method: str, probe: Probe, start: float, end: float) -> float:
+def _tension_step(method: str, probe: Probe, start: float, end: float) -> float:
     """The longest step [s] that holds with tensions [N] at the start and in the end; on nodes no limit is known."""
     if method in ON_NODES:
         return math.inf
@@ -164,7 +164,7 @@ def _stable_settings(fidelity: Fidelity, scene: Scene, start: float = 0.0, end: 
     for method in dict.fromkeys((fidelity.method, fidelity.method.removesuffix("32"), "imex")):
         nodes = fidelity.nodes_per_pitch if (method in ON_NODES) == (fidelity.method in ON_NODES) else MESH_NODES
         try:
-            limit = min(_longest_step(method, scene, nodes), _pulled_step(method, scene.probe, start, end))
+            limit = min(_longest_step(method, scene, nodes), _tension_step(method, scene.probe, start, end))
         except ValueError:
             continue
         step = next((value for value in steps if SHORTEST_STEP <= value <= limit), 0.0)
