@@ -144,20 +144,20 @@ class Renderer:
     def __init__(self, episodes: Episodes, index: int = 0) -> None:
         self.episodes, self.index = episodes, index
         self.history: list[tuple[float, ...]] = []
-        self._felt: Window | None = None  # of the last period
+        self._last_window: Window | None = None  # of the last period
         self._drawn: tuple[Plate, Helix, Traces] | None = None
         self._window: tuple[Any, Any] | None = None  # figure and image
 
     def begin(self, info: dict[str, Any]) -> None:
         """Begin with the info of a reset; the last episode is forgotten, and its tube may have been another."""
-        self.history, self._drawn, self._felt = [(*self._values(info), 0.0, 0.0, 0.0)], None, None
+        self.history, self._drawn, self._last_window = [(*self._values(info), 0.0, 0.0, 0.0)], None, None
 
     def add(self, info: dict[str, Any], reward: float) -> None:
         """Note a period's info and reward."""
-        self._felt = self.episodes.window
-        assert self._felt is not None
-        assert self._felt.radial is not None
-        radial = self._felt.radial[:, self.index]
+        self._last_window = self.episodes.window
+        assert self._last_window is not None
+        assert self._last_window.radial is not None
+        radial = self._last_window.radial[:, self.index]
         self.history.append((*self._values(info), reward, float(radial.min()), float(radial.max())))
 
     @staticmethod
@@ -169,7 +169,7 @@ class Renderer:
         simulator = self.episodes.batch.simulators[self.index]
         plate, helix, traces = self._drawn = self._drawn or self._draw()
         helix.update(simulator)
-        changed = traces.update(self._felt, self.index, np.array(self.history))
+        changed = traces.update(self._last_window, self.index, np.array(self.history))
         return plate.picture(changed)
 
     def show(self) -> None:

@@ -23,7 +23,7 @@ def started(env_id="probe_env/Insertion-v1", **arguments):
 def anew(env):
     """The picture by a renderer that has drawn nothing yet."""
     fresh = Renderer(env.episodes)
-    fresh.history, fresh._felt = env._renderer.history, env._renderer._felt
+    fresh.history, fresh._last_window = env._renderer.history, env._renderer._last_window
     return fresh.picture()
 
 
