@@ -145,12 +145,12 @@ class Renderer:
         self.episodes, self.index = episodes, index
         self.history: list[tuple[float, ...]] = []
         self._last_window: Window | None = None  # of the last period
-        self._drawn: tuple[Plate, Helix, Traces] | None = None
+        self._artists: tuple[Plate, Helix, Traces] | None = None
         self._window: tuple[Any, Any] | None = None  # figure and image
 
     def begin(self, info: dict[str, Any]) -> None:
         """Begin with the info of a reset; the last episode is forgotten, and its tube may have been another."""
-        self.history, self._drawn, self._last_window = [(*self._values(info), 0.0, 0.0, 0.0)], None, None
+        self.history, self._artists, self._last_window = [(*self._values(info), 0.0, 0.0, 0.0)], None, None
 
     def add(self, info: dict[str, Any], reward: float) -> None:
         """Note a period's info and reward."""
@@ -167,7 +167,7 @@ class Renderer:
     def picture(self) -> Picture:
         """(h, w, 3) RGB picture; needs no display."""
         simulator = self.episodes.batch.simulators[self.index]
-        plate, helix, traces = self._drawn = self._drawn or self._draw()
+        plate, helix, traces = self._artists = self._artists or self._draw()
         helix.update(simulator)
         changed = traces.update(self._last_window, self.index, np.array(self.history))
         return plate.picture(changed)
@@ -209,4 +209,4 @@ class Renderer:
 
     def __getstate__(self) -> dict[str, Any]:
         """Copies draw anew: neither pixels nor windows are copied."""
-        return self.__dict__ | {"_drawn": None, "_window": None}
+        return self.__dict__ | {"_artists": None, "_window": None}

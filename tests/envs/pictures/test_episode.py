@@ -39,7 +39,7 @@ def test_what_is_kept_is_what_would_be_drawn_anew(env_id, arguments):
     for k in range(25):
         env.step(np.ones(2, dtype=np.float32))
         picture = env.render()
-        limits.add(tuple(axes.get_ylim() for axes in env._renderer._drawn[2]._axes))
+        limits.add(tuple(axes.get_ylim() for axes in env._renderer._artists[2]._axes))
         if k % 6 == 0:
             assert (picture == anew(env)).all()
     assert len(limits) >= 3  # so axes were drawn again over what is kept
@@ -50,7 +50,7 @@ def test_one_s_own_tube_is_drawn():
     tube = {"tube": {"helix_length": 20.0, "inner_diameter": 0.023, "helix_diameter": 1.3}}
     env = started(tube=probe_env.Plant.model_validate(tube | {"probe": {"carrier_float_diameter": 0.0185}}))
     env.render()
-    plate, helix, traces = env._renderer._drawn
+    plate, helix, traces = env._renderer._artists
     assert [axes.get_xlim()[1] for axes in traces._axes[1:]] == [20.0] * 4
     texts = [text.get_text() for text in helix._title.axes.texts]
     assert "bore 23 mm, floats 18.5 and 19 mm" in texts
