@@ -41,7 +41,7 @@ class Plate:
         for artist in moving:
             artist.set_animated(True)  # left out where the figure is drawn as a whole
         canvas.draw()
-        self._kept = canvas.copy_from_bbox(figure.bbox)
+        self._background = canvas.copy_from_bbox(figure.bbox)
         self._extent: dict[Axes, Any] = {axes: axes.get_tightbbox(canvas.get_renderer()) for axes in figure.axes}
 
     def picture(self, changed: Sequence[Axes] = ()) -> Picture:
@@ -50,11 +50,11 @@ class Plate:
         Args:
             changed: axes whose limits are other than in the last picture; nothing else may be where their labels are.
         """
-        self._canvas.restore_region(self._kept)
+        self._canvas.restore_region(self._background)
         for axes in changed:
             self._redraw(axes)
         if changed:
-            self._kept = self._canvas.copy_from_bbox(self._figure.bbox)
+            self._background = self._canvas.copy_from_bbox(self._figure.bbox)
         for artist in self._moving:
             artist.draw(self._canvas.get_renderer())
         return np.asarray(self._canvas.buffer_rgba())[:, :, :3].copy()
