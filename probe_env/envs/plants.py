@@ -51,7 +51,7 @@ class Normal(Model):
     std: Annotated[FiniteFloat, Field(gt=0.0)]
 
 
-def _described(value: Any) -> Any:
+def _as_figure(value: Any) -> Any:
     """A table as the model whose keys it has: pydantic would tell what is wrong with it for each of them."""
     if isinstance(value, Between | Normal) or (isinstance(value, int | float) and not isinstance(value, bool)):
         return value
@@ -61,7 +61,7 @@ def _described(value: Any) -> Any:
     raise PydanticCustomError("figure", "must be a number, a table of low and high, or one of mean and std")
 
 
-Figure = Annotated[float | Between | Normal, BeforeValidator(_described)]
+Figure = Annotated[float | Between | Normal, BeforeValidator(_as_figure)]
 
 
 def quantiles(figure: Figure, shares: npt.ArrayLike, low: float, high: float) -> FloatArray:
