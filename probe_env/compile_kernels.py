@@ -8,7 +8,7 @@ from __future__ import annotations
 import sys
 
 from probe_env.envs.episodes.starts import WITHDRAWAL_SCENE
-from probe_env.fidelity import BOTH_WAYS
+from probe_env.fidelity import ROUND_TRIP
 from probe_env.physics.methods import METHODS
 from probe_env.physics.simulation.batch import SimulatorBatch
 from probe_env.physics.simulation.simulator import Simulator
@@ -24,7 +24,7 @@ def compile_kernels() -> None:
         if method.alone_share < 1.0:  # then one probe has a kernel of its own
             SimulatorBatch([short] * method.width, method, method.usual_step).advance(duration=1e-3)
     pressed = Scene.model_validate({"carrier_length": 1.0} | WITHDRAWAL_SCENE)
-    Simulator(pressed, BOTH_WAYS["standard"].method, 1e-4).run(1e-3)
+    Simulator(pressed, ROUND_TRIP["standard"].method, 1e-4).run(1e-3)
 
 
 if __name__ == "__main__":

@@ -124,7 +124,7 @@ PRESETS: Final[dict[str, Fidelity]] = {
 }
 ALIASES: Final = {"map": SURROGATE}
 """Other accepted names of presets."""
-BOTH_WAYS: Final[dict[str, Fidelity]] = {
+ROUND_TRIP: Final[dict[str, Fidelity]] = {
     "standard": Fidelity(method="imex", time_step=1.25e-4, nodes_per_pitch=8),
     "fast": Fidelity(method="imex", time_lapse=4.0),
 }
@@ -224,9 +224,9 @@ def _named(fidelity: str | Fidelity | Mapping[str, Any], scene: Scene, growing: 
 
 def _both_ways(fidelity: str | Fidelity | Mapping[str, Any]) -> Fidelity:
     """``resolve_fidelity`` for a probe that is drawn back."""
-    if isinstance(fidelity, str) and fidelity in BOTH_WAYS:
-        return BOTH_WAYS[fidelity]
-    known = ", ".join((*BOTH_WAYS, "study"))
+    if isinstance(fidelity, str) and fidelity in ROUND_TRIP:
+        return ROUND_TRIP[fidelity]
+    known = ", ".join((*ROUND_TRIP, "study"))
     if isinstance(fidelity, str) and AUTO.fullmatch(fidelity):
         raise ValueError(f"fidelity = {fidelity!r}: nothing was measured on the way back; give one of {known}")
     chosen = _named(fidelity, Scene(), growing=True)

@@ -38,7 +38,7 @@ from agents.policies.planner import InsertionPlanner, InspectionPlanner
 from agents.records.atomic import write_atomically
 from agents.records.drawing import MM
 from probe_env.envs.task import FAILURES, Measure, TaskConfig
-from probe_env.fidelity import BOTH_WAYS, PRESETS
+from probe_env.fidelity import ROUND_TRIP, PRESETS
 
 MEASURES: Final[dict[Measure, tuple[str, float, str]]] = {
     "displacement": ("radial rms", 1e3, "mm"),
@@ -129,7 +129,7 @@ def _facts(done: Evaluation) -> dict[str, str]:
         f"cable {probe.cable_diameter * MM:g} mm, floats {probe.carrier_float_diameter * MM:g} mm every"
         f" {probe.float_pitch * MM:g} mm, guide cable {probe.guide_length:g} m"
     )
-    presets = PRESETS | BOTH_WAYS if task.returns else PRESETS
+    presets = PRESETS | ROUND_TRIP if task.returns else PRESETS
     stored, measure = done.setting.fidelity, MEASURES[task.vibration_measure][0]
     policies = table["policy"].nunique()
     return {

@@ -7,7 +7,7 @@ import gymnasium as gym
 import probe_env
 from agents.cli.evaluation import Render
 from agents.vec_env import ENVIRONMENTS, EnvId, ProbeVecEnv
-from probe_env.fidelity import BOTH_WAYS, PRESETS
+from probe_env.fidelity import ROUND_TRIP, PRESETS
 
 INSPECTION = "probe_env/Inspection-v0"
 
@@ -33,5 +33,5 @@ def test_the_default_is_standard_names_are_presets_and_settings_count():
         assert fidelities(env_id) == [PRESETS["standard"]] * 3
         assert fidelities(env_id, fidelity=own) == [own] * 3
     assert gym.make("probe_env/Design-v1").unwrapped.fidelity == PRESETS["standard"] == probe_env.Fidelity()
-    for name, preset in BOTH_WAYS.items():
+    for name, preset in ROUND_TRIP.items():
         assert fidelities(INSPECTION, fidelity=name) == [preset] * 3

@@ -23,7 +23,7 @@ from agents.policies.fixed import Constant
 from probe_env import Context, Scene
 from probe_env.design import RANGES
 from probe_env.envs.task import TaskConfig
-from probe_env.fidelity import BOTH_WAYS
+from probe_env.fidelity import ROUND_TRIP
 
 
 def same(one, other):
@@ -58,7 +58,7 @@ def test_the_profile_is_per_metre():
 def test_the_profile_of_both_passes_reaches_to_the_turn():
     scene = Scene.model_validate({"tube": {"helix_length": 8.0}, "carrier_length": 4.0})
     config = TaskConfig(passes="both", scene=scene, time_limit=100.0)
-    plan = Plan({"in and back": make_policy("fast-in", config)}, [Context()], (0,), config, BOTH_WAYS["fast"])
+    plan = Plan({"in and back": make_policy("fast-in", config)}, [Context()], (0,), config, ROUND_TRIP["fast"])
     runner, lengths, rows = RolloutRunner(plan, deque(plan.units()), 1, 1), [], []
     while not runner.over:
         if list(runner.step()):

@@ -26,7 +26,7 @@ from agents.policies.catalogue import named_policies
 from agents.policies.fixed import PI, Constant, Scheduled
 from agents.policies.wrappers import BothWays, fastest_back, way_in
 from probe_env.envs.task import TaskConfig
-from probe_env.fidelity import BOTH_WAYS
+from probe_env.fidelity import ROUND_TRIP
 from probe_env.schedule import Schedule
 
 MINE = Schedule("time", "linear", (0.0, 0.2), (0.15, 0.3), (0.02, 0.03))
@@ -281,7 +281,7 @@ def test_the_passes_of_a_tube_are_those_of_its_file_unless_options_say_otherwise
     assert [plan.config.passes for plan in plans] == ["both", "in", "both", "both"]
     assert [plan.config.inspects for plan in plans] == ["back", "back", "in", "back"]
     assert {plan.config.time_limit for plan in plans} == {1000.0}
-    assert plans[0].fidelity == BOTH_WAYS["fast"]
+    assert plans[0].fidelity == ROUND_TRIP["fast"]
     assert main([*options, "--inspects", "in"]) == 2
     assert "inspects = 'in' needs --passes both" in capsys.readouterr().err
 
@@ -295,7 +295,7 @@ def test_the_page_names_passes_and_strained_cables(stored):
     assert "feed 0: the root" not in page
     assert "<dt>passes</dt>" not in page
     done = read_evaluation(stored)
-    both = {"task": TaskConfig(passes="both", inspects="back"), "fidelity": BOTH_WAYS["fast"].model_dump()}
+    both = {"task": TaskConfig(passes="both", inspects="back"), "fidelity": ROUND_TRIP["fast"].model_dump()}
     facts = report._facts(replace(done, setting=done.setting.model_copy(update=both)))
     assert facts["passes"] == "in and back; counted is the way back"
     assert (facts["simulated with"], facts["insertions"]) == ("fast", "12, of 2 policies in the same 3 tubes")

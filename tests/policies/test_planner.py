@@ -27,7 +27,7 @@ from probe_env.arrays import FloatArray
 from probe_env.envs.episodes import Episodes
 from probe_env.envs.task import ScoredPass, TaskConfig, uninspected_weight
 from probe_env.envs.vibration_map import CONTEXT, expected_cost, stored_map
-from probe_env.fidelity import BOTH_WAYS, resolve_fidelity
+from probe_env.fidelity import ROUND_TRIP, resolve_fidelity
 
 CONFIG = TaskConfig()
 TUBES = (Context(friction=0.15, helix_diameter=2.0), Context(friction=0.24, helix_diameter=1.0))
@@ -318,7 +318,7 @@ def test_a_planned_inspection_is_fast_and_comes_back() -> None:
     The third is more than ramps and turn take from a probe that is fed at full speed.
     """
     config = task()
-    plan = Plan({"planner": make_policy("planner", config)}, TUBES, config=config, fidelity=BOTH_WAYS["fast"])
+    plan = Plan({"planner": make_policy("planner", config)}, TUBES, config=config, fidelity=ROUND_TRIP["fast"])
     table = run_plan(plan, None, threads=1)
     assert table["complete"].all()
     most = rest(begun(config))[0]

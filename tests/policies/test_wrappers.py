@@ -12,7 +12,7 @@ from agents.policies.fixed import Constant
 from agents.policies.wrappers import Shielded
 from probe_env import Context, Scene, TaskConfig
 from probe_env.envs.task.observations import observe
-from probe_env.fidelity import BOTH_WAYS, resolve_fidelity
+from probe_env.fidelity import ROUND_TRIP, resolve_fidelity
 from probe_env.physics.closed_forms import sliding_tension
 
 CONFIG = TaskConfig(scene=Scene.fitted({"tube": {"helix_length": 30.0}})).full_observation
@@ -150,4 +150,4 @@ def test_what_it_cannot_do_is_refused():
             make_policy("shielded:planner", TaskConfig(passes=passes).full_observation)
     with pytest.raises(ValueError, match="'reference': superelement does not simulate the way back; give one of stan"):
         resolve_fidelity("reference", both_ways=True)
-    assert resolve_fidelity("fast", both_ways=True) == BOTH_WAYS["fast"]
+    assert resolve_fidelity("fast", both_ways=True) == ROUND_TRIP["fast"]

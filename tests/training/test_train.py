@@ -27,7 +27,7 @@ from agents.training.train import BEST, CHECKPOINT, CURVE, RUN, VALIDATED, run_l
 from probe_env import Fidelity, load_contexts
 from probe_env.design import RANGES
 from probe_env.envs.task import TaskConfig
-from probe_env.fidelity import BOTH_WAYS
+from probe_env.fidelity import ROUND_TRIP
 from probe_env.files import FileError
 
 COARSE = Fidelity(time_lapse=20.0)
@@ -289,7 +289,7 @@ def test_smoke_training_beats_the_study_s_constant_and_no_training(tmp_path):
 def test_an_agent_of_both_passes_is_asked_on_both(tmp_path, validations, monkeypatch):
     """In a helix of 8 m, begun at 5 m: what it says on the way back is what is done there."""
     train_all(Training(**SHIFT), tmp_path, resume=False)
-    assert {plan.fidelity for plan in validations} == {BOTH_WAYS["fast"]}  # in an insertion ``fast`` cannot go back
+    assert {plan.fidelity for plan in validations} == {ROUND_TRIP["fast"]}  # in an insertion ``fast`` cannot go back
     path = str(tmp_path / "seed-0" / BEST)
     config = TaskConfig(
         passes="both", inspects="back", scene={"tube": {"helix_length": 8.0}}, time_limit=100.0

@@ -12,7 +12,7 @@ from pydantic_core import PydanticCustomError
 
 from probe_env.arrays import FloatArray
 from probe_env.envs.task.scales import (
-    BOTH_WAYS,
+    ROUND_TRIP,
     OBSERVATIONS,
     PRIVILEGED,
     PROBE,
@@ -239,7 +239,7 @@ class TaskConfig(Observation, Disturbances, Limits, Reward, Actuators, Timing, R
     def observations(self) -> dict[str, tuple[float, float, str]]:
         """Name -> (low, high, meaning) of this variant's observation."""
         visible = {k: v for k, v in OBSERVATIONS.items() if k != "root_tension" or self.observe_root_tension}
-        both = BOTH_WAYS if self.returns else {}
+        both = ROUND_TRIP if self.returns else {}
         return visible | both | (PRIVILEGED if self.privileged else {}) | (PROBE if self.observe_probe else {})
 
     @property

@@ -29,7 +29,7 @@ OBSERVATIONS: Final[dict[str, tuple[float, float, str]]] = {
 
 Inserted length, feed, air and helix end at what scenes and tasks accept; radial signals at a displacement of 1 m,
 where a probe counts as diverged. Ten times table 2's drag pulls with 2.4 kN in a straight tube."""
-BOTH_WAYS: Final[dict[str, tuple[float, float, str]]] = {
+ROUND_TRIP: Final[dict[str, tuple[float, float, str]]] = {
     "feed_speed": (-6.0, 6.0, "applied feed speed, below 0 on withdrawal / (0.4 m/s)"),
     "air_supply_rate": (-6.0, 6.0, "applied air supply, below 0 towards the feed device / (130 m3/h)"),
     "way": (-1.0, 1.0, "1 on insertion, -1 on withdrawal"),
