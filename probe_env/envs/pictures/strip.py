@@ -140,7 +140,7 @@ SLOWED: Final = 1.0 / (FRAMES_PER_SECOND * FRAME_PERIOD)
 """How much slower than the probe the strip moves."""
 AXIAL: Final = 50.0
 """Exaggeration of the axial displacement, which would be less than a pixel."""
-SHOWN: Final = 0.5
+TRACE_SECONDS: Final = 0.5
 """How much of the signals is shown [s]."""
 AHEAD: Final = 0.04
 """Room before the tip and behind the last node, of the length."""
@@ -201,7 +201,7 @@ class Strip:
             marks.set_data(where, np.full(len(where), height))
         self._sensor.set_data(*centre[motion.sensor][:, None])
         time = motion.signal_time - motion.time[k]
-        seen = (time > -SHOWN - SAMPLE_PERIOD) & (time < 0.5 * SAMPLE_PERIOD)
+        seen = (time > -TRACE_SECONDS - SAMPLE_PERIOD) & (time < 0.5 * SAMPLE_PERIOD)
         for line, values in zip(self._lines, (motion.signal_radial, motion.signal_axial), strict=True):
             line.set_data(time[seen], values[seen] * 1e3)
         self._now.set_text(f"{motion.inserted_length[k]:.2f} m inserted, {motion.time[k]:.3f} s")
@@ -251,7 +251,7 @@ class Strip:
         self._lines = []
         signals = ((motion.signal_radial, "radial"), (motion.signal_axial, "axial"))
         for axes, (values, name) in zip(self._signals, signals, strict=True):
-            axes.set(xlim=(-SHOWN, 0.0), ylim=limits_around(values * 1e3, (0.0, QUIET_MM)))
+            axes.set(xlim=(-TRACE_SECONDS, 0.0), ylim=limits_around(values * 1e3, (0.0, QUIET_MM)))
             axes.set_ylabel(f"sensor,\n{name} [mm]", fontsize=8)
             axes.yaxis.set_label_coords(-0.04, 0.5)
             axes.tick_params(labelsize=7, labelbottom=axes is self._signals[-1])
