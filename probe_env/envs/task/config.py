@@ -169,7 +169,7 @@ GROUPS: Final[dict[str, type[Model]]] = {
     "disturbances": Disturbances, "observation": Observation,
 }  # fmt: skip
 """Groups of fields, which settings may name as tables: ``{"reward": {"time_weight": 0.2}}``."""
-SHOWN: Final = tuple(Observation.model_fields)
+OBSERVATION_FIELDS: Final = tuple(Observation.model_fields)
 """Fields of the task that say what is observed, and change nothing else."""
 
 
@@ -245,7 +245,7 @@ class TaskConfig(Observation, Disturbances, Limits, Reward, Actuators, Timing, R
     @property
     def full_observation(self) -> TaskConfig:
         """The same task with everything observed: every policy looks at what it is meant to."""
-        return self.model_copy(update=dict.fromkeys(SHOWN, True))
+        return self.model_copy(update=dict.fromkeys(OBSERVATION_FIELDS, True))
 
     @property
     def standstill(self) -> np.float32:
