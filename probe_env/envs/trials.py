@@ -327,7 +327,7 @@ def sections_of(design: Design, context: Context, feed: Schedule, config: TaskCo
     for position in segment_of(config).positions:
         carrier = round(round(position / probe.float_pitch) * probe.float_pitch, 6)
         inserted = carrier + probe.guide_length
-        fed, blown = config.given(*feed.at(inserted))[0].tolist()
+        fed, blown = config.feasible(*feed.at(inserted))[0].tolist()
         room = max(base.tube.helix_length, inserted)  # rounding to the pitch may go some cm beyond
         update = {"probe": probe, "carrier_length": carrier, "feed_speed": fed, "air_supply_rate": min(blown, GENTLE)}
         start = tube.model_copy(update={"tube": {"helix_length": room}, **update})

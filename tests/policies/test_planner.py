@@ -74,8 +74,8 @@ def test_what_is_held_and_the_suggestion_are_tried_and_draws_depend_on_nothing_b
         suggested = np.column_stack([np.full(2, 0.4), held[:, 1]]) if both else mapped
         tried = drawn([0, 1], 41)
         assert tried.shape == (2, 41, 2)
-        np.testing.assert_allclose(tried[:, 0], config.given(*held.T), rtol=1e-6)
-        np.testing.assert_allclose(tried[:, 1], config.given(*suggested.T), rtol=1e-6)
+        np.testing.assert_allclose(tried[:, 0], config.feasible(*held.T), rtol=1e-6)
+        np.testing.assert_allclose(tried[:, 1], config.feasible(*suggested.T), rtol=1e-6)
         for column, (step, (low, high)) in enumerate(ranges):
             values = tried[..., column]
             assert low <= values.min() <= values.max() <= high

@@ -74,7 +74,7 @@ def as_given(config: TaskConfig, numbers: Numbers) -> dict[str, float]:
     given: dict[str, float] = {}
     for columns in (FORTH, BACK):
         wanted = round(numbers[columns[FEED]], 3), round(numbers[columns[AIR]]) / 3600.0
-        feed, air = (float(value) for value in config.given(*wanted)[0])
+        feed, air = (float(value) for value in config.feasible(*wanted)[0])
         given |= {columns[FEED]: round(feed, 9), columns[AIR]: round(3600.0 * air, 9)}
     return given
 

@@ -278,7 +278,7 @@ class TaskConfig(Observation, Disturbances, Limits, Reward, Actuators, Timing, R
         requested[stands, 0] = 0.0
         return requested
 
-    def given(self, feed_speed: FloatArray | float, air_supply_rate: FloatArray | float) -> FloatArray:
+    def feasible(self, feed_speed: FloatArray | float, air_supply_rate: FloatArray | float) -> FloatArray:
         """(N, 2) what feed device and air supply give where these are asked for [m/s], [m3/s]: the nearest they can."""
         requested = ((feed_speed, self.feed_speeds), (air_supply_rate, self.air_supply_rates))
         return self._in_steps(np.column_stack([np.clip(value, *range_) for value, range_ in requested]))
