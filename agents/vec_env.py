@@ -25,17 +25,17 @@ ENVIRONMENTS: dict[str, type[ProbeEnv]] = {
 
 
 class ProbeVecEnv(VecEnv):
-    """N environments in one batch for SB3; an ended episode starts anew in the same step.
+    """N environments in one batch for SB3; an ended episode restarts in the same step.
 
-    ``infos`` then have ``terminal_observation`` and ``TimeLimit.truncated``, which PPO needs to bootstrap; what the
-    new episode's reset gave is in ``reset_infos``.
+    ``infos`` then have ``terminal_observation`` and ``TimeLimit.truncated``, which PPO needs to bootstrap.
+    ``reset_infos`` holds the infos of the new episodes.
 
     Args:
         env_id: "probe_env/Insertion-v1", "probe_env/Snapshot-v1" or "probe_env/Inspection-v0".
         num_envs: N; environment i equals a single one with the seed ``seed + i``.
-        threads: at most so many; default: all cores.
-        max_episode_steps: an episode is truncated after so many steps, as by ``gymnasium.make``; default: only by the
-            task's own time limit, a field of ``config``.
+        threads: maximum number of threads; default: all cores.
+        max_episode_steps: number of steps after which an episode is truncated, as in ``gymnasium.make``; default: only
+            the time limit of ``config``.
         config, settings: see ``InsertionEnv``.
 
     Raises:

@@ -211,7 +211,9 @@ def _named(fidelity: str | Fidelity | Mapping[str, Any], scene: Scene, growing: 
     auto = AUTO.fullmatch(fidelity)
     if auto is None:
         known = ", ".join((*PRESETS, "auto", "auto:TOLERANCE"))
-        raise ValueError(f"fidelity = {fidelity!r} is not one of {known}, nor a mapping of settings{closest(fidelity, PRESETS)}")
+        raise ValueError(
+            f"fidelity = {fidelity!r} is not one of {known}, nor a mapping of settings{closest(fidelity, PRESETS)}"
+        )
     try:
         tolerance = float(auto["tolerance"] or TOLERANCE)
     except ValueError:

@@ -193,7 +193,8 @@ def check_known(what: str, given: Iterable[str], known: Iterable[str]) -> None:
     """Raise TypeError, as Python does, where a keyword argument is not one of those that there are."""
     unknown = sorted(set(given) - set(known))
     if unknown:
-        raise TypeError(f"{what}() has no argument {', '.join(unknown)}; accepted are {', '.join(known)}{closest(unknown[0], known)}")
+        accepted = f"accepted are {', '.join(known)}{closest(unknown[0], known)}"
+        raise TypeError(f"{what}() has no argument {', '.join(unknown)}; {accepted}")
 
 
 def whole_steps(name: str, value: float | None, time_step: float) -> int:

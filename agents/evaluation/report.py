@@ -38,7 +38,7 @@ from agents.policies.planner import InsertionPlanner, InspectionPlanner
 from agents.records.atomic import write_atomically
 from agents.records.drawing import MM
 from probe_env.envs.task import FAILURES, Measure, TaskConfig
-from probe_env.fidelity import ROUND_TRIP, PRESETS
+from probe_env.fidelity import PRESETS, ROUND_TRIP
 
 MEASURES: Final[dict[Measure, tuple[str, float, str]]] = {
     "displacement": ("radial rms", 1e3, "mm"),

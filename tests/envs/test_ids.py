@@ -7,7 +7,7 @@ import gymnasium as gym
 import probe_env
 from agents.cli.evaluation import Render
 from agents.vec_env import ENVIRONMENTS, EnvId, ProbeVecEnv
-from probe_env.fidelity import ROUND_TRIP, PRESETS
+from probe_env.fidelity import PRESETS, ROUND_TRIP
 
 INSPECTION = "probe_env/Inspection-v0"
 

@@ -49,7 +49,9 @@ def check_fidelity(fidelity: Fidelity, config: TaskConfig) -> None:
     if not fidelity.simulates:
         raise ValueError("fidelity = 'surrogate' simulates no motion, which is asked for here: give fast or finer")
     if fidelity.time_lapse > 1.0 and not config.growing:
-        raise ValueError(f"fidelity.time_lapse = {fidelity.time_lapse:g} needs a probe that is fed in: at constant length give standard")
+        raise ValueError(
+            f"fidelity.time_lapse = {fidelity.time_lapse:g} needs a probe that is fed in; at constant length use standard"
+        )
     whole_steps("config.period / fidelity.time_lapse", config.period / fidelity.time_lapse, fidelity.time_step)
     if config.returns or fidelity.steady_feed is not None:
         whole_steps("config.period", config.period, fidelity.time_step)
@@ -71,12 +73,14 @@ def check_simulable(scene: Scene, fidelity: Fidelity, longest: float, most_air: 
         limit = _longest_step(fidelity.method, scene, fidelity.nodes_per_pitch)
     except ValueError as error:
         raise ValueError(
-            f"contact_stiffness = {stiffness:g} N/m: {error}: give fidelity = {_stable_settings(fidelity, scene)}"
+            f"contact_stiffness = {stiffness:g} N/m: {error}: give fidelity ="
+            f" {_stable_settings(fidelity, scene)}"
         ) from error
     if fidelity.time_step > limit * (1.0 + 1e-9):
         raise ValueError(
             f"contact_stiffness = {stiffness:g} N/m: {fidelity.method} holds with a time step of at most {limit:.2g} s,"
-            f" and that of this fidelity is {fidelity.time_step:g} s: give fidelity = {_stable_settings(fidelity, scene)}"
+            f" and that of this fidelity is {fidelity.time_step:g} s: give fidelity ="
+            f" {_stable_settings(fidelity, scene)}"
         )
     softest = softest_wall(probe)
     if stiffness < softest:

@@ -196,7 +196,8 @@ def checked_contexts(contexts: Contexts) -> tuple[Context, ...] | Ranges:
         if contexts == "random":
             return Ranges()
         if contexts not in get_args(Split):
-            raise ValueError(f"contexts = {contexts!r} is not one of random, {', '.join(get_args(Split))}{closest(contexts, get_args(Split))}")
+            names = ("random", *get_args(Split))
+            raise ValueError(f"contexts = {contexts!r} is not one of {', '.join(names)}{closest(contexts, names)}")
         return load_contexts(contexts)
     try:
         if isinstance(contexts, Mapping):

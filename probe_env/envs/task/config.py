@@ -12,10 +12,10 @@ from pydantic_core import PydanticCustomError
 
 from probe_env.arrays import FloatArray
 from probe_env.envs.task.scales import (
-    ROUND_TRIP,
     OBSERVATIONS,
     PRIVILEGED,
     PROBE,
+    ROUND_TRIP,
     action_of,
     share_between,
     share_of,
