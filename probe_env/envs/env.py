@@ -140,8 +140,8 @@ class InsertionEnv(ProbeEnv):
     | 8, 9 | previous action | - |
     | 10 | helix diameter | 2.5 m |
 
-    `config={"observe_root_tension": False}` removes 7. `{"privileged": True}` adds friction, contact stiffness and drag,
-    which a rig cannot measure. `{"observe_probe": True}` adds the seven properties of the probe
+    `config={"observe_root_tension": False}` removes 7. `{"privileged": True}` adds friction, contact stiffness and
+    drag, which a rig cannot measure. `{"observe_probe": True}` adds the seven properties of the probe
     (`probe_env.envs.task.scales.PROBE`), for one controller of many probes.
 
     ## Rewards
@@ -150,9 +150,9 @@ class InsertionEnv(ProbeEnv):
     uninspected (per metre that is not inspected when the episode ends, the largest cost of inspecting a metre),
     diverged (-10). Weights are fields of `probe_env.envs.task.TaskConfig`.
 
-    `info["cost"]` is separate from the reward. It is the sum of `info["cost_terms"]`, each 0 or 1 per period: lost_drive
-    (tension too low to drive, see Episode End), tension (above `tension_limit`, default 110 N), buckling (compression
-    at the root above the buckling load between two floats).
+    `info["cost"]` is separate from the reward. It is the sum of `info["cost_terms"]`, each 0 or 1 per period:
+    lost_drive (tension too low to drive, see Episode End), tension (above `tension_limit`, default 110 N), buckling
+    (compression at the root above the buckling load between two floats).
 
     ## Starting State
     A context is sampled (friction 0.10-0.25, contact stiffness 0.7e5-1.4e5 N/m, drag +-10 %, one of six helix
@@ -175,8 +175,8 @@ class InsertionEnv(ProbeEnv):
       as `{"tube": {"inner_diameter": 0.025}}`, which `spec.to_json()` can store.
     * `fidelity`: "standard", "fast", another preset, "auto" or custom settings, see `probe_env.fidelity`. "surrogate"
       predicts from a vibration map instead of simulating, about 100 times faster, for training; it has no render mode.
-    * `surrogate_map`: file of the map, for "surrogate" only. Default: NAME-map.npz next to the file of the `tube`, if it
-      exists, else the map of table 2's tubes.
+    * `surrogate_map`: file of the map, for "surrogate" only. Default: NAME-map.npz next to the file of the `tube`, if
+      it exists, else the map of table 2's tubes.
     * `contexts`: "random", a shipped list ("train", "validation", "test"), your own list of `Context`s or mappings, or
       `Ranges` to sample from.
     * `feed_speed`, `air_supply_rate`: while the probe settles, SI units; default 0.2 m/s and 63 m3/h, or the nearest

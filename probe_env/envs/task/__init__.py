@@ -36,6 +36,7 @@ from probe_env.envs.task.scales import action_in, action_of, share_between, shar
 __all__ = [
     "COSTS", "ENDINGS", "END_TOLERANCE", "FAILURES", "MEASURES", "OBSERVATION_FIELDS",
     "Measure", "Score", "ScoredPass", "TaskConfig", "action_in", "action_of", "air_used", "any_ending", "capped_square",
-    "consecutive_slack", "cost_terms", "costs", "describe", "drive_counts", "ending", "metre_cost", "metre_reward", "reward_terms", "score", "share_between",
+    "consecutive_slack", "cost_terms", "costs", "describe",
+    "drive_counts", "ending", "metre_cost", "metre_reward", "reward_terms", "score", "share_between",
     "share_of", "slack", "travel", "ungrouped", "uninspected_weight", "value_at",
 ]  # fmt: skip
