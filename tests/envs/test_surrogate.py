@@ -141,9 +141,9 @@ def test_a_whole_insertion_earns_the_task_s_terms():
 REFUSED = [
     ({"probes": "random"}, {}, "without probes = 'random'"),
     ({}, {"friction": 0.5}, "friction = 0.5 is outside the map's range 0.1 to 0.25"),
-    ({}, {"probe": {"line_density": 0.09}}, "probe: the map is of another one"),
+    ({}, {"probe": {"line_density": 0.09}}, "probe: the map is of another probe"),
     ({"config": {"growing": False}}, {}, "without growing = False"),
-    ({"config": {"vibration_measure": "velocity"}}, {}, "vibration_measure = 'velocity': maps know"),
+    ({"config": {"vibration_measure": "velocity"}}, {}, "vibration_measure = 'velocity': maps predict"),
     ({"config": {"vibration_measure": "snr"}}, {}, "vibration_measure = 'snr', but the map is of displacement"),
     ({"config": {"friction_drift": 0.1}}, {}, "without friction_drift"),
     ({"config": {"sensor_dropout": 0.1}}, {}, "without sensor_dropout"),
@@ -175,7 +175,7 @@ def test_other_environments_pictures_and_looking_ahead_are_refused():
         Fidelity(method="surrogate", time_step=1e-4)
     place = case_of(None, "test", 1)
     planner = named_policies(("planner",), place.config.full_observation)
-    with pytest.raises(ValueError, match="no simulator for a policy to look ahead with"):
+    with pytest.raises(ValueError, match="no simulator for planning"):
         run_plan(Plan(planner, place.contexts, (0,), place.config.full_observation, PRESETS["surrogate"]), None)
 
 

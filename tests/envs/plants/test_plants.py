@@ -113,10 +113,10 @@ BROKEN = {
     "air.drag_coefficient: 2e-06 to 2 times its median is beyond 0.1 to 10 times": {
         "air": {"drag_coefficient": {"low": 0.0, "high": 0.5}}
     },
-    r"task.ramp: stands in \[feed\]": {"task": {"ramp": 1.0}},
-    r"task.air_lag: stands in \[air\]": {"task": {"air_lag": 1.0}},
-    r"task.scene: stands in \[tube\]": {"task": {"scene": {}}},
-    "task.privileged: is set by who looks at it": {"task": {"privileged": True}},
+    r"task.ramp: belongs in \[feed\]": {"task": {"ramp": 1.0}},
+    r"task.air_lag: belongs in \[air\]": {"task": {"air_lag": 1.0}},
+    r"task.scene: belongs in \[tube\]": {"task": {"scene": {}}},
+    "task.privileged: is set by the policy": {"task": {"privileged": True}},
     "task.perod: there is no such field; accepted: ": {"task": {"perod": 1.0}},
     "feed.ramp: .*outside the accepted range": {"feed": {"ramp": -1.0}},
     r"feed_speeds = \(0.3, 0.1\) must ascend": {"feed": {"feed_speeds": [0.3, 0.1]}},

@@ -90,4 +90,4 @@ def test_a_calibration_that_calls_itself_misspecified_is_warned_of(folder: Path,
         plant_of_text(folder, 'posterior = "calibration.json"')
     assert len(heard) == misspecified
     for warning in heard:
-        assert "calibration.json: the calibration is misspecified: the model cannot have made" in str(warning.message)
+        assert "calibration.json: the calibration is misspecified: the model does not fit" in str(warning.message)

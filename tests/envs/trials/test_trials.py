@@ -48,13 +48,13 @@ def task(helix_length, **fields):
     ],
 )
 def test_sections_are_spread_over_what_the_longest_guide_leaves(helix_length, positions):
-    """Every place of the stretch is counted once, with the section that is nearest to it."""
-    stretch = segment_of(task(helix_length))
-    assert stretch.positions == pytest.approx(positions)
-    assert stretch.end == helix_length - LONGEST
-    assert sum(stretch.widths) == pytest.approx(stretch.span) == helix_length - LONGEST - SENSOR_START
-    ends = SENSOR_START + np.cumsum(stretch.widths)
-    for end, near, far in zip(ends, stretch.positions, stretch.positions[1:], strict=False):
+    """Every place of the segment is counted once, with the section that is nearest to it."""
+    segment = segment_of(task(helix_length))
+    assert segment.positions == pytest.approx(positions)
+    assert segment.end == helix_length - LONGEST
+    assert sum(segment.widths) == pytest.approx(segment.span) == helix_length - LONGEST - SENSOR_START
+    ends = SENSOR_START + np.cumsum(segment.widths)
+    for end, near, far in zip(ends, segment.positions, segment.positions[1:], strict=False):
         assert end - near == pytest.approx(far - end)
 
 
@@ -209,5 +209,5 @@ def test_the_reward_counts_noise_over_signal(tried):
 
 
 def test_other_measures_are_refused():
-    with pytest.raises(ValueError, match="vibration_measure = 'velocity': designs are judged by displacement or snr"):
+    with pytest.raises(ValueError, match="vibration_measure = 'velocity': designs are scored by displacement or snr"):
         check_measure(TaskConfig(vibration_measure="velocity"))
