@@ -219,8 +219,8 @@ def score_designs(
     """Reward terms and KPIs (N,) of designs, by the weights of the insertion task.
 
     Progress is the length that the sensor inspects until the tip is at the end of the helix: a long guide inspects
-    less. Vibration, time and air are over the segment that all designs share; detection is over the length that the guide
-    allows a probe to inspect.
+    less. Vibration, time and air are over the segment that all designs share; detection is over the length that the
+    guide allows a probe to inspect.
 
     Raises:
         ValueError: the task's vibration measure is not one of ``DESIGN_MEASURES``.

@@ -169,7 +169,7 @@ def test_other_environments_pictures_and_looking_ahead_are_refused():
     for name, message in refused.items():
         with pytest.raises(ValueError, match=message):
             gym.make(f"probe_env/{name}", fidelity="surrogate")
-    with pytest.raises(ValueError, match="simulates no motion to draw"):
+    with pytest.raises(ValueError, match="simulates no motion to render"):
         gym.make("probe_env/Insertion-v1", fidelity="surrogate", render_mode="rgb_array")
     with pytest.raises(ValueError, match=r"time_step: method = 'surrogate' simulates no motion"):
         Fidelity(method="surrogate", time_step=1e-4)

@@ -87,7 +87,7 @@ def test_an_insertion_ends_where_the_helix_does():
 def test_what_cannot_be_is_refused():
     for env_id, arguments, message in (
         ("Insertion", {"tube": {}, "scene": {}}, "tube and scene: give one of them"),
-        ("Insertion", {"tube": {}, "config": TaskConfig()}, "config beside a tube must be a mapping"),
+        ("Insertion", {"tube": {}, "config": TaskConfig()}, "config with a tube must be a mapping"),
         ("Insertion", {"tube": "none.toml"}, "none.toml"),
         ("Design", {"tube": {"tube": {"helix_length": 20.0}}}, "helix_length = 20 m: designs are compared as far as"),
     ):
@@ -215,7 +215,7 @@ def test_contexts_of_ones_own_stay_beside_a_tube(file):
 
 def test_what_belongs_to_the_task_or_to_table_2_is_refused_beside_a_tube():
     for make in (lambda **given: gym.make("probe_env/Insertion-v1", **given), ProbeVecEnv):
-        with pytest.raises(ValueError, match="contexts = 'test' are table 2's tubes: beside a tube leave it out"):
+        with pytest.raises(ValueError, match="contexts = 'test' are table 2's tubes: with a tube leave contexts out"):
             make(tube={"tube": {"inner_diameter": 0.023}}, contexts="test")
     with pytest.raises(TypeError, match=r"inspects is a field of the task: give config=\{'inspects': ...\}"):
         gym.make("probe_env/Inspection-v0", inspects="back")
