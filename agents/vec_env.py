@@ -54,9 +54,9 @@ class ProbeVecEnv(VecEnv):
     ) -> None:
         if env_id not in ENVIRONMENTS:
             raise ValueError(f"env_id = {env_id!r} is not one of {', '.join(ENVIRONMENTS)}")
-        check_known(type(self).__name__, settings, ("config", *DEFAULTS))
         check_episode_steps(max_episode_steps)
         self.config, settings = resolve_settings(ENVIRONMENTS[env_id].defaults, config, settings)
+        check_known(type(self).__name__, settings, ("config", *DEFAULTS))
         self.episodes = make_episodes(num_envs, self.config, threads=threads, **settings)
         self.render_mode = None
         super().__init__(num_envs, *spaces_of(self.config))

@@ -51,12 +51,12 @@ class ProbeEnv(gym.Env[Observation, Observation]):
         render_mode: str | None = None,
         **settings: Unpack[EpisodeSettings],
     ) -> None:
-        check_known("gym.make", settings, ("config", *DEFAULTS))
         if render_mode is not None and render_mode not in RENDER_MODES:
             raise ValueError(f"render_mode = {render_mode!r} is not one of {', '.join(RENDER_MODES)}")
         if render_mode is not None and is_surrogate(settings.get("fidelity", DEFAULTS["fidelity"])):
             raise ValueError(f"render_mode = {render_mode!r}: fidelity 'surrogate' simulates no motion to render")
         self.config, settings = resolve_settings(self.defaults, config, settings)
+        check_known("gym.make", settings, ("config", *DEFAULTS))
         self.episodes = make_episodes(1, self.config, threads=1, **settings)
         self.observation_space, self.action_space = spaces_of(self.config)  # type: ignore[assignment]
         self.render_mode = render_mode
@@ -273,11 +273,11 @@ class ProbeVectorEnv(gym.vector.VectorEnv[Observation, Observation, Any]):
         render_mode: str | None = None,
         **settings: Unpack[EpisodeSettings],
     ) -> None:
-        check_known("gym.make_vec", settings, ("config", *DEFAULTS))
         check_episode_steps(max_episode_steps)
         if render_mode is not None:
             raise ValueError(f"render_mode = {render_mode!r}: a batch is not rendered; use gym.make")
         self.config, settings = resolve_settings(self.single.defaults, config, settings)
+        check_known("gym.make_vec", settings, ("config", *DEFAULTS))
         self.episodes = make_episodes(num_envs, self.config, threads=threads, **settings)
         self.num_envs = num_envs
         self.autoreset_mode = AutoresetMode(autoreset_mode)

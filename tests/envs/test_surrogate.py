@@ -164,7 +164,7 @@ def test_other_environments_pictures_and_looking_ahead_are_refused():
     refused = {
         "Snapshot-v1": "Insertion-v1\\), without growing = False",
         "Inspection-v0": "Insertion-v1\\), without passes = 'both'",
-        "Design-v1": "fidelity = 'surrogate' is for Insertion-v1 alone",
+        "Design-v1": "fidelity = 'surrogate' is for Insertion-v1 only",
     }
     for name, message in refused.items():
         with pytest.raises(ValueError, match=message):
