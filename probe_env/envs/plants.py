@@ -495,7 +495,7 @@ def _balanced_diameters(shares: FloatArray, diameters: Sequence[float]) -> list[
     return assigned
 
 
-def map_beside(tube: Path) -> Path:
+def map_file(tube: Path) -> Path:
     """File of the vibration map of a plant: NAME-map.npz next to the plant's file."""
     return tube.with_name(f"{tube.stem}-map.npz")
 

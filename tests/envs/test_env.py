@@ -31,17 +31,17 @@ CHECKED = [
 ]
 
 
-@pytest.mark.parametrize(("env_id", "given"), CHECKED)
-def test_the_checkers_of_gymnasium_and_sb3_find_nothing(env_id, given):
+@pytest.mark.parametrize(("env_id", "arguments"), CHECKED)
+def test_the_checkers_of_gymnasium_and_sb3_find_nothing(env_id, arguments):
     from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
-    check_env(gym.make(env_id, render_mode="rgb_array", **given).unwrapped)
-    sb3_check_env(gym.make(env_id, **given).unwrapped)
+    check_env(gym.make(env_id, render_mode="rgb_array", **arguments).unwrapped)
+    sb3_check_env(gym.make(env_id, **arguments).unwrapped)
 
 
 @IDS
 def test_a_spec_goes_through_json(env_id):
-    """With a scene and a task of plain values, which JSON turns from tuples to lists."""
+    """With scene and task as plain values; JSON turns tuples into lists."""
     scene = {"tube": {"helix_diameter": 2.0}, "contact": {"friction": 0.2}}
     fidelity = {"time_step": 2e-4, "method": "imex"}
     env = gym.make(env_id, scene=scene, config={"feed_speeds": (0.05, 0.3)}, fidelity=fidelity)
@@ -52,7 +52,7 @@ def test_a_spec_goes_through_json(env_id):
 
 
 @IDS
-def test_a_copy_goes_on_bit_for_bit(env_id):
+def test_a_copy_continues_bit_for_bit(env_id):
     env = gym.make(env_id, **SHORT[env_id])
     env.reset(seed=4)
     action = np.array([0.3, -0.2], dtype=np.float32)
@@ -69,7 +69,7 @@ def test_a_copy_goes_on_bit_for_bit(env_id):
 
 def test_wrappers_work(tmp_path):
     env = gym.make("probe_env/Insertion-v1", render_mode="rgb_array", fidelity="fast")
-    env = RecordVideo(env, str(tmp_path / "films"), disable_logger=True)  # a folder that is not there yet
+    env = RecordVideo(env, str(tmp_path / "films"), disable_logger=True)  # a folder that does not exist
     env = RecordEpisodeStatistics(TimeLimit(FlattenObservation(env), 3))
     env.reset(seed=1)
     for _ in range(3):
@@ -96,7 +96,7 @@ def test_the_page_lists_what_info_holds():
     assert info["episode_kpis"]["pod"].shape == DEPTHS.shape
 
 
-def test_options_fix_the_context_and_the_rest_is_drawn_alike():
+def test_options_set_fields_of_the_context_and_do_not_change_the_others():
     env = gym.make("probe_env/Insertion-v1")
     free = env.reset(seed=3)[1]["context"]
     fixed = env.reset(seed=3, options={"friction": 0.21})[1]["context"]

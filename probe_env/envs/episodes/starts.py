@@ -13,7 +13,7 @@ from pydantic import ValidationError
 
 from probe_env.design import RANGES, Design
 from probe_env.envs.contexts import SPLIT_SIZES, Context, Ranges, Split, draw_context, load_contexts
-from probe_env.envs.plants import PlantSource, map_beside, plant_of
+from probe_env.envs.plants import PlantSource, map_file, plant_of
 from probe_env.envs.task import TaskConfig, ungrouped
 from probe_env.envs.task.config import scene_of
 from probe_env.envs.vibration_map import VibrationMap
@@ -165,8 +165,8 @@ def resolve_settings(
         )
     remaining = settings.copy()
     file = remaining.get("tube")
-    if isinstance(file, str | Path) and map_beside(Path(file)).exists():
-        remaining.setdefault("surrogate_map", map_beside(Path(file)))
+    if isinstance(file, str | Path) and map_file(Path(file)).exists():
+        remaining.setdefault("surrogate_map", map_file(Path(file)))
     plant, scene = plant_of(remaining.pop("tube", None)), remaining.pop("scene", None)
     if plant is None:
         task = config

@@ -183,7 +183,7 @@ class Strip:
 
     def picture(self, k: int) -> Picture:
         """(h, w, 3) RGB picture of frame ``k``."""
-        motion, edge = self.motion, self.drawn(k)
+        motion, edge = self.motion, self.edge(k)
         centre = edge + [0.0, 1e3] * np.column_stack([np.zeros_like(motion.lever), motion.lever])
         self._cable.set_data(*centre.T)
         floats = motion.floats
@@ -203,7 +203,7 @@ class Strip:
         self._now.set_text(f"{motion.inserted_length[k]:.2f} m inserted, {motion.time[k]:.3f} s")
         return self._plate.picture()
 
-    def drawn(self, k: int) -> FloatArray:
+    def edge(self, k: int) -> FloatArray:
         """(n, 2) position along the tube [m], the unstretched tip at 0, and edge nearest to the inner wall [mm]."""
         motion = self.motion
         return np.column_stack([AXIAL * motion.axial[k] - motion.distance, 1e3 * motion.radial[k]])

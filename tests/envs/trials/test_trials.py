@@ -150,7 +150,7 @@ def test_air_of_a_period_is_the_mean_of_both_ends():
 
 @pytest.mark.parametrize("design", [Design(), IMPROVED])
 def test_sections_are_stable_with_the_most_air(design):
-    """At 2e-4 s and 130 m3/h, 24 of 256 probes diverged that start with the full supply; with the gentle start none did.
+    """At 2e-4 s and 130 m3/h, 24 of 256 probes diverged from a start with the full supply, none from the gentle start.
 
     Measured once at 20 to 55 m in similar tubes. The full supply at rest is refused, the gentle start is not.
     """
