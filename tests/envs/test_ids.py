@@ -14,7 +14,11 @@ INSPECTION = "probe_env/Inspection-v0"
 
 def fidelities(env_id, **arguments):
     """Fidelity of the single environment, of Gymnasium's batch and of SB3's."""
-    envs = gym.make(env_id, **arguments), gym.make_vec(env_id, num_envs=2, **arguments), ProbeVecEnv(env_id, 2, **arguments)
+    envs = (
+        gym.make(env_id, **arguments),
+        gym.make_vec(env_id, num_envs=2, **arguments),
+        ProbeVecEnv(env_id, 2, **arguments),
+    )
     return [env.unwrapped.episodes.fidelity for env in envs]
 
 

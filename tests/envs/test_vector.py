@@ -35,7 +35,8 @@ LIMITS = pytest.mark.parametrize("limit", [{}, {"max_episode_steps": 3}], ids=["
 def test_the_native_batch_conforms(env_id, mode, limit):
     settings = CASES[env_id] | limit
     check_vector_env(
-        lambda n: gym.make_vec(env_id, num_envs=n, **settings, autoreset_mode=mode), lambda: gym.make(env_id, **settings)
+        lambda n: gym.make_vec(env_id, num_envs=n, **settings, autoreset_mode=mode),
+        lambda: gym.make(env_id, **settings),
     )
 
 

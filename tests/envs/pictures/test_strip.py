@@ -111,7 +111,8 @@ def test_the_frequency_of_the_probe_is_in_the_pictures(ringing):
     positions = np.array(columns) * pixel
     assert np.ptp(positions) > 4.0 * pixel  # the mark moves
     (frequency,), (expected,) = (
-        dominant_frequencies(signal, period, 1) for signal, period in ((positions, FRAME_PERIOD), (simulated, SAMPLE_PERIOD))
+        dominant_frequencies(signal, period, 1)
+        for signal, period in ((positions, FRAME_PERIOD), (simulated, SAMPLE_PERIOD))
     )
     assert frequency == pytest.approx(expected, abs=0.51)
     assert 13.0 < expected < 17.0
