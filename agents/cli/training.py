@@ -41,7 +41,7 @@ class Train:
         if self.seeds:
             training = training.model_copy(update={"seeds": self.seeds})
         if self.tube:
-            own = {"tube": plant_at(self.tube), "map_file": str(self.tube)}
+            own = {"tube": plant_at(self.tube), "map_beside": str(self.tube)}
             training = training.model_copy(update={"environment": own})
         output = self.output or Path("output/train") / self.config_file.stem
         print_curves(train_all(training, output, self.resume, self.workers))

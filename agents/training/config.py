@@ -46,7 +46,7 @@ class Environments(Model):
     env_id: EnvId = "probe_env/Insertion-v1"
     tube: Annotated[Plant | None, BeforeValidator(plant_of)] = None
     """A plant of one's own: the path of its ``tube.toml``, or its fields."""
-    map_file: str | None = None
+    map_beside: str | None = None
     """The plant's file, or the name of one that ships, beside which the map is that the teacher looks things up in
     (``train --tube`` says it); default: the shipped map."""
     num_envs: Annotated[int, Field(ge=1, le=1024)] = 16
@@ -178,7 +178,7 @@ class Training(Model):
     @property
     def vibration(self) -> VibrationMap | None:
         """The plant's own map, for the teacher and for fidelity "surrogate"; None: the shipped one."""
-        beside = self.environment.map_file
+        beside = self.environment.map_beside
         return None if beside is None else map_of(Path(beside), self.environment.tube)
 
     @property

@@ -251,7 +251,7 @@ def test_a_teacher_uses_the_map_of_the_plant(tmp_path):
     plant, imitation = plant_at("snr"), {"teacher": "tension-scheduled"}
     with pytest.raises(ValueError, match="the map is of displacement"):
         Training.model_validate({"environment": {"tube": plant}, "imitation": imitation})
-    training = Training.model_validate({"environment": {"tube": plant, "map_file": "snr"}, "imitation": imitation})
+    training = Training.model_validate({"environment": {"tube": plant, "map_beside": "snr"}, "imitation": imitation})
     assert training.teacher.describe()["policy"]
     assert training.task.vibration_measure == "snr"
     assert Training.model_validate_json(training.model_dump_json()) == training
