@@ -136,7 +136,7 @@ def test_a_map_is_found_beside_the_file_of_its_tubes_and_one_of_another_tube_is_
     file, text = tmp_path / "small.toml", small.read_text()
     map_file(file).write_bytes(map_file(small).read_bytes())
     for changed, message in (
-        (text.replace("23e-3", "24e-3"), r"small-map.npz: inner_diameter = 0.023 m, and small.toml says 0.024 m"),
+        (text.replace("23e-3", "24e-3"), r"small-map.npz: inner_diameter = 0.023 m, and small.toml has 0.024 m"),
         (text.replace("7.0", "7.5"), r"helix_length = 7.0 m, and small.toml has 7.5 m: make it again"),
         (text + "[air]\ndensity = 1.3\n", r"made for another \[air\]"),
         (text + "[probe]\nline_density = 0.12\n", r"made for another \[probe\]"),
