@@ -145,3 +145,11 @@ def test_bad_actions_are_named_and_nothing_is_advanced():
         with pytest.raises(ValueError, match=message):
             env.step(np.array(action, dtype=np.float32))
     assert env.episodes.batch.simulators[0].steps_done == before
+
+
+def test_a_step_after_the_end_is_refused():
+    env = gym.make("probe_env/Snapshot-v1", config={"time_limit": 0.1}).unwrapped
+    env.reset(seed=0)
+    assert env.step(np.zeros(2, dtype=np.float32))[3]
+    with pytest.raises(RuntimeError, match="call reset before step"):
+        env.step(np.zeros(2, dtype=np.float32))

@@ -60,11 +60,11 @@ def round_trip(inspects, insertion, withdrawal):
 
 def test_a_metre_is_scored_by_the_selected_pass():
     for inspects, expected in (
-        ("in", [4.0, 0.5 + 2.0 + 4.0 + 9.0, 1.0, 15.5]),
+        ("in", [4.0, 0.5 + 0.9 + 4.0 + 9.0, 2.0, 14.4]),
         ("back", [4.0, 0.2 + 3.0 + 0.6 + 9.0, 2.0, 12.8]),
-        ("best", [4.0, 0.2 + 2.0 + 0.6 + 9.0, 2.0, 11.8]),
+        ("best", [4.0, 0.2 + 0.9 + 0.6 + 9.0, 3.0, 10.7]),
     ):
-        assert round_trip(inspects, (0.5, 2.0, 4.0, 9.0), (0.2, 3.0, 0.6, 9.0)) == pytest.approx(expected), inspects
+        assert round_trip(inspects, (0.5, 0.9, 4.0, 9.0), (0.2, 3.0, 0.6, 9.0)) == pytest.approx(expected), inspects
 
 
 def test_the_score_does_not_depend_on_the_division_into_periods():

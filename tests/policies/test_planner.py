@@ -287,7 +287,7 @@ def test_the_rest_is_what_is_left_of_both_ways() -> None:
     while episodes.inserted_length.min() < 6.9:
         episodes.step(held(config, 0.4, 0.02))
     passes = episodes.scorer
-    known = [passes._shown[k][:, 1].sum() for k in range(2)]
+    known = [passes._insertion[k][:, 1].sum() for k in range(2)]
     left = LENGTH - episodes.inserted_length
     expected = left * config.progress_weight - (left + 3.0) * per_metre + config.vibration_weight * np.array(known)
     np.testing.assert_allclose(rest(episodes), expected)

@@ -29,7 +29,7 @@ def measured(friction, config=CONFIG):
     sliding = {"inserted_length": 40.0, "feed_speed": 0.2, "air_supply_rate": 63.0 / 3600.0, "helix_diameter": 1.2}
     sliding = {name: value * one for name, value in sliding.items()}
     names = ("radial_acceleration_rms_m_per_s2", "axial_acceleration_rms_m_per_s2", "friction", "drag_factor",
-             "contact_stiffness", "remaining_length", "feed_action", "air_action")  # fmt: skip
+             "contact_stiffness", "remaining_length", "previous_feed_action", "previous_air_action")  # fmt: skip
     probe = {name: getattr(scene.probe, name) * one for name in config.observations if hasattr(scene.probe, name)}
     tension = sliding_tension(np.asarray(friction), sliding, scene)
     values = dict.fromkeys(names, one) | sliding | probe | {"tension_mean_n": tension, "radial_rms_m": 1e-4 * one}
@@ -90,9 +90,9 @@ def test_there_is_no_nearer_action_that_keeps_the_margin():
 def test_feed_slows_without_more_air_and_the_air_comes_in_whole_steps_next_to_a_feed_that_stands():
     assert acted([[1.0, 0.9]], np.array([0.5]), margin=40.0)[0].tolist() == [-1.0, 1.0]
     config = CONFIG.model_copy(update={"air_supply_step": 10.0 / 3600.0})
-    given = np.array([[config.standing, -1.0]], dtype=np.float32)
+    given = np.array([[config.standstill, -1.0]], dtype=np.float32)
     shielded = acted(given, np.array([0.6]), config)
-    assert shielded[0, 0] == config.standing
+    assert shielded[0, 0] == config.standstill
     air = config.targets(shielded, allow_standstill=True)[0, 1] * 360.0
     assert air == pytest.approx(round(air), abs=1e-5)
     assert tensions(np.array([[-1.0, shielded[0, 1]]]), 0.6)[0] >= 1.2

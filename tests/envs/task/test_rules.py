@@ -8,13 +8,20 @@ from probe_env import Scene
 from probe_env.envs.episodes import Episodes
 from probe_env.envs.task import (
     COSTS,
+    Score,
     TaskConfig,
     action_in,
+    action_of,
+    any_ending,
     capped_square,
+    consecutive_slack,
     cost_terms,
+    ending,
     metre_cost,
     metre_reward,
     reward_terms,
+    share_between,
+    share_of,
     uninspected_weight,
     value_at,
 )
@@ -150,3 +157,33 @@ def test_the_buckling_load_is_that_of_a_bar_on_many_hinged_supports():
     free = [k for k in range(2 * nodes) if k % (2 * pieces)]  # no deflection at a float
     values = np.linalg.eigvals(np.linalg.solve(stiff[np.ix_(free, free)], geometric[np.ix_(free, free)]))
     assert 1.0 / values.real.max() == pytest.approx(buckling_load(probe), rel=1e-4)
+
+
+def test_only_the_time_limit_alone_truncates():
+    """Cases: none, late, complete and late, drive lost and late, diverged and late, late but not stepped."""
+    config, length = TaskConfig(time_limit=10.0, lost_drive_periods=3), np.full(6, 60.0)
+    inserted, slack_steps = np.array([30.0, 30.0, 60.0, 30.0, 30.0, 30.0]), np.array([2, 2, 0, 3, 0, 0])
+    time, stepped = np.array([9.0, 10.0, 10.0, 10.0, 10.0, 10.0]), np.array([True] * 5 + [False])
+    diverged = np.array([False] * 4 + [True, False])
+    ends = ending(config, inserted, length, slack_steps, time, stepped, diverged)
+    score = Score({}, {}, ends, np.zeros(6))
+    assert score.truncated.tolist() == [False, True, False, False, False, False]
+    assert score.terminated.tolist() == [False, False, True, True, True, False]
+    assert any_ending(ends).tolist() == [False, True, True, True, True, False]
+
+
+def test_slack_periods_are_counted_consecutively():
+    slack = np.array([[1, 1, 0, 1, 1, 1, 1], [0, 1, 1, 1, 0, 0, 1]], dtype=bool)
+    steps, counts = np.zeros(2, dtype=int), []
+    for is_slack in slack.T:
+        steps = consecutive_slack(steps, is_slack)
+        counts.append(steps.tolist())
+    assert np.array(counts).T.tolist() == [[1, 2, 0, 1, 2, 3, 4], [0, 1, 2, 3, 0, 0, 1]]
+
+
+def test_shares_and_values_are_each_other_s_inverse():
+    values = np.linspace(*CONFIG.feed_speeds, 7)
+    shares = share_between(values, CONFIG.feed_speeds)
+    assert value_at(shares, CONFIG.feed_speeds) == pytest.approx(values, rel=1e-15)
+    assert share_of(action_of(shares)) == pytest.approx(shares, abs=1e-15)
+    assert (share_of(np.array([-1.5, 1.5])) == [0.0, 1.0]).all()
