@@ -289,9 +289,6 @@ class ProbeVectorEnv(gym.vector.VectorEnv[Observation, Observation, Any]):
         self._ended = np.zeros(num_envs, dtype=bool)
         self.max_episode_steps, self._steps = max_episode_steps, np.zeros(num_envs, dtype=int)
 
-    def __repr__(self) -> str:
-        return f"<{type(self).__name__}: {self.episodes!r}>"
-
     @in_one_line()
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None

@@ -190,9 +190,7 @@ def rms_limit(config: TaskConfig) -> float:
         ValueError: maps do not predict the vibration measure.
     """
     if config.vibration_measure not in PROFILED:
-        raise ValueError(
-            f"vibration_measure = {config.vibration_measure!r}: maps predict {' and '.join(PROFILED)} only"
-        )
+        raise ValueError(f"vibration_measure = {config.vibration_measure!r}: maps are of {' and '.join(PROFILED)} only")
     as_rms = config.sensor.equivalent_rms(np.array(config.limit))
     return float(as_rms) if config.vibration_measure == "snr" else config.limit
 

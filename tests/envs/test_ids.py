@@ -12,13 +12,9 @@ from probe_env.fidelity import PRESETS, ROUND_TRIP
 INSPECTION = "probe_env/Inspection-v0"
 
 
-def fidelities(env_id, **arguments):
+def fidelities(env_id, **options):
     """Fidelity of the single environment, of Gymnasium's batch and of SB3's."""
-    envs = (
-        gym.make(env_id, **arguments),
-        gym.make_vec(env_id, num_envs=2, **arguments),
-        ProbeVecEnv(env_id, 2, **arguments),
-    )
+    envs = gym.make(env_id, **options), gym.make_vec(env_id, 2, **options), ProbeVecEnv(env_id, 2, **options)
     return [env.unwrapped.episodes.fidelity for env in envs]
 
 

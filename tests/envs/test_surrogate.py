@@ -143,7 +143,7 @@ REFUSED = [
     ({}, {"friction": 0.5}, "friction = 0.5 is outside the map's range 0.1 to 0.25"),
     ({}, {"probe": {"line_density": 0.09}}, "probe: the map is of another probe"),
     ({"config": {"growing": False}}, {}, "without growing = False"),
-    ({"config": {"vibration_measure": "velocity"}}, {}, "vibration_measure = 'velocity': maps predict"),
+    ({"config": {"vibration_measure": "velocity"}}, {}, "vibration_measure = 'velocity': maps are of"),
     ({"config": {"vibration_measure": "snr"}}, {}, "vibration_measure = 'snr', but the map is of displacement"),
     ({"config": {"friction_drift": 0.1}}, {}, "without friction_drift"),
     ({"config": {"sensor_dropout": 0.1}}, {}, "without sensor_dropout"),

@@ -49,9 +49,7 @@ def check_fidelity(fidelity: Fidelity, config: TaskConfig) -> None:
     if not fidelity.simulates:
         raise ValueError("fidelity = 'surrogate' simulates no motion, which is needed here: use fast or finer")
     if fidelity.time_lapse > 1.0 and not config.growing:
-        raise ValueError(
-            f"fidelity.time_lapse = {fidelity.time_lapse:g} needs a probe that is fed in; else use standard"
-        )
+        raise ValueError(f"fidelity.time_lapse = {fidelity.time_lapse:g} needs a growing probe: use standard")
     whole_steps("config.period / fidelity.time_lapse", config.period / fidelity.time_lapse, fidelity.time_step)
     if config.returns or fidelity.steady_feed is not None:
         whole_steps("config.period", config.period, fidelity.time_step)

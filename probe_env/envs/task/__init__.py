@@ -8,7 +8,7 @@ from probe_env.envs.task.config import (
     TaskConfig,
     describe,
     ungrouped,
-)  # fmt: skip
+)
 from probe_env.envs.task.rules import (
     COSTS,
     END_TOLERANCE,
@@ -34,9 +34,8 @@ from probe_env.envs.task.rules import (
 from probe_env.envs.task.scales import action_in, action_of, share_between, share_of, value_at
 
 __all__ = [
-    "COSTS", "ENDINGS", "END_TOLERANCE", "FAILURES", "MEASURES", "OBSERVATION_FIELDS",
-    "Measure", "Score", "ScoredPass", "TaskConfig", "action_in", "action_of", "air_used", "any_ending", "capped_square",
-    "consecutive_slack", "cost_terms", "costs", "describe",
-    "drive_counts", "ending", "metre_cost", "metre_reward", "reward_terms", "score", "share_between",
-    "share_of", "slack", "travel", "ungrouped", "uninspected_weight", "value_at",
+    "COSTS", "ENDINGS", "END_TOLERANCE", "FAILURES", "MEASURES", "OBSERVATION_FIELDS", "Measure", "Score", "ScoredPass",
+    "TaskConfig", "action_in", "action_of", "air_used", "any_ending", "capped_square", "consecutive_slack",
+    "cost_terms", "costs", "describe", "drive_counts", "ending", "metre_cost", "metre_reward", "reward_terms", "score",
+    "share_between", "share_of", "slack", "travel", "ungrouped", "uninspected_weight", "value_at",
 ]  # fmt: skip
