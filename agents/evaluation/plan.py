@@ -33,7 +33,7 @@ from probe_env.design import RANGES
 from probe_env.envs.episodes import Step
 from probe_env.envs.episodes.starts import Probes
 from probe_env.envs.surrogate import make_episodes
-from probe_env.envs.task import OBSERVATION_FIELDS, TaskConfig, describe
+from probe_env.envs.task import VISIBLE_FIELDS, TaskConfig, describe
 from probe_env.envs.trials import PolicyBatch
 from probe_env.envs.vibration_map import VibrationMap
 from probe_env.files import FileError
@@ -178,7 +178,7 @@ def stored_episodes(plan: Plan, output: Path) -> dict[str, dict[str, Any]]:
 def _shared(setting: Setting) -> dict[str, Any]:
     """What episodes must share; what is only observed may differ, and new fields of the task have their defaults."""
     shared = ("fidelity", "probes", "version", "commit")
-    return setting.task.model_dump(exclude=set(OBSERVATION_FIELDS)) | {name: getattr(setting, name) for name in shared}
+    return setting.task.model_dump(exclude=set(VISIBLE_FIELDS)) | {name: getattr(setting, name) for name in shared}
 
 
 def _lines(plan: Plan, missing: deque[Unit], batch: int, threads: int | None, workers: Workers) -> Iterator[str]:

@@ -24,7 +24,7 @@ from scipy.stats import qmc, truncnorm
 
 from probe_env.arrays import FloatArray
 from probe_env.envs.contexts import Context
-from probe_env.envs.task import OBSERVATION_FIELDS, TaskConfig, ungrouped
+from probe_env.envs.task import VISIBLE_FIELDS, TaskConfig, ungrouped
 from probe_env.files import MEBI, FileError, read_bytes, read_toml
 from probe_env.inspection.sensor import Sensor
 from probe_env.scene import Air, Contact, Probe, Scene, Tube
@@ -308,7 +308,7 @@ class Plant(Model):
             dict.fromkeys(OF_FEED, "feed") | dict.fromkeys(OF_AIR, "air") | {"scene": "tube", "sensor": "sensor"}
         )
         for name in self.task:
-            if name in misplaced or name in OBSERVATION_FIELDS:
+            if name in misplaced or name in VISIBLE_FIELDS:
                 reason = f"belongs in [{misplaced[name]}]" if name in misplaced else "is set by the policy"
                 raise PydanticCustomError("task", "{text}", {"text": f"task.{name}: {reason}"})
         check_draws(self.posterior)

@@ -2,7 +2,7 @@
 
 from probe_env.envs.task.config import (
     MEASURES,
-    OBSERVATION_FIELDS,
+    VISIBLE_FIELDS,
     Measure,
     ScoredPass,
     TaskConfig,
@@ -34,7 +34,7 @@ from probe_env.envs.task.rules import (
 from probe_env.envs.task.scales import action_in, action_of, share_between, share_of, value_at
 
 __all__ = [
-    "COSTS", "ENDINGS", "END_TOLERANCE", "FAILURES", "MEASURES", "OBSERVATION_FIELDS", "Measure", "Score", "ScoredPass",
+    "COSTS", "ENDINGS", "END_TOLERANCE", "FAILURES", "MEASURES", "VISIBLE_FIELDS", "Measure", "Score", "ScoredPass",
     "TaskConfig", "action_in", "action_of", "air_used", "any_ending", "capped_square", "consecutive_slack",
     "cost_terms", "costs", "describe", "drive_counts", "ending", "metre_cost", "metre_reward", "reward_terms", "score",
     "share_between", "share_of", "slack", "travel", "ungrouped", "uninspected_weight", "value_at",

@@ -167,7 +167,7 @@ GROUPS: Final[dict[str, type[Model]]] = {
     "disturbances": Disturbances, "observation": Observation,
 }  # fmt: skip
 """Groups of fields, accepted as tables: ``{"reward": {"time_weight": 0.2}}``."""
-OBSERVATION_FIELDS: Final = tuple(Observation.model_fields)
+VISIBLE_FIELDS: Final = tuple(Observation.model_fields)
 """Fields of the task that select observations and change nothing else."""
 
 
@@ -241,7 +241,7 @@ class TaskConfig(Observation, Disturbances, Limits, Reward, Actuators, Timing, R
     @property
     def full_observation(self) -> TaskConfig:
         """The same task with all observations, from which every policy selects its own."""
-        return self.model_copy(update=dict.fromkeys(OBSERVATION_FIELDS, True))
+        return self.model_copy(update=dict.fromkeys(VISIBLE_FIELDS, True))
 
     @property
     def standstill(self) -> np.float32:
