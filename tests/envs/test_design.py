@@ -46,8 +46,6 @@ def test_designs_convert_to_the_unit_cube_and_back():
 BROKEN = {
     "guide_length = 0.5": "0.5 m is outside the accepted range 1 to 10 m",
     "guide_length = nan": "guide_length",
-    "guide_length = '2.5'": "guide_length",
-    "guide_float_diameter = 0.0201": "0.0201 m is outside the accepted range 0.016 to 0.02 m",
     "damping_time = 5e-5": "damping_time",
     "guide_length = 2.5\nguide_length = 3.0": "not a TOML file",
 }
@@ -88,8 +86,6 @@ def test_a_step_is_an_episode_and_repeats_with_its_seed():
 
 def test_bad_arguments_actions_and_schedules_are_named():
     for arguments, message in (
-        ({"contexts": "all"}, "contexts = 'all'"),
-        ({"fidelity": "finest"}, "fidelity = 'finest'"),
         ({"render_mode": "rgb_array"}, "render_mode = 'rgb_array'"),
         ({"feed": Constant(CONFIG)}, "a policy needs full = True"),
         ({"config": {"colour": 1}}, "colour"),

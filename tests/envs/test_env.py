@@ -110,12 +110,10 @@ def test_options_set_fields_of_the_context_and_do_not_change_the_others():
 
 REFUSED = [
     ("Insertion", {"fidelity": "best"}, None, "fidelity = 'best'"),
-    ("Insertion", {"contexts": "exam"}, None, "contexts = 'exam'"),
     ("Insertion", {"feed_speed": 3.0}, None, "feed_speed = 3.0"),
     ("Insertion", {"config": {"bogus": 1}}, None, "bogus: there is no such field; accepted"),
     ("Insertion", {"scene": {"tubes": {}}}, None, "tubes"),
     ("Insertion", {"config": {"ratio_cap": 0.0}}, None, "0.0 is outside"),
-    ("Insertion", {"config": {"feed_speeds": (0.4, 0.1)}}, None, "must ascend"),
     ("Snapshot", {"fidelity": "fast"}, None, "fidelity.time_lapse = 4"),
     ("Insertion", {"probes": "all"}, None, "probes = 'all' is not one of scene, random"),
     ("Insertion", {}, {"fricton": 0.1}, "fricton: there is no such field"),

@@ -249,8 +249,3 @@ class TestTimeLapse:
             np.testing.assert_equal(single.infos[0], step.infos[1])
             assert np.array_equal(alone.window.radial_of(0), many.window.radial_of(1))
         assert mixed
-
-    def test_period_must_be_whole_steps_of_both_passes(self):
-        fidelity = {"method": "imex", "time_step": 2e-4, "time_lapse": 2.5}
-        with pytest.raises(ValueError, match=r"config\.period = 0\.0125 s is not a whole number"):
-            Episodes(1, TaskConfig(passes="both", period=0.0125), fidelity=fidelity)

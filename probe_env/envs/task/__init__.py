@@ -1,14 +1,6 @@
 """The control task: actions, observations, rewards, costs and endings of N probes; no simulator."""
 
-from probe_env.envs.task.config import (
-    MEASURES,
-    VISIBLE_FIELDS,
-    Measure,
-    ScoredPass,
-    TaskConfig,
-    describe,
-    ungrouped,
-)
+from probe_env.envs.task.config import MEASURES, VISIBLE_FIELDS, Measure, ScoredPass, TaskConfig, describe, ungrouped
 from probe_env.envs.task.rules import (
     COSTS,
     END_TOLERANCE,

@@ -59,7 +59,9 @@ def test_invalid_settings_are_named():
 
 
 def test_a_period_without_time_lapse_is_a_whole_number_of_steps():
-    config = TaskConfig(period=1.0001)
-    settings = {"time_lapse": 1.0001 / 0.25, "steady_feed": 0.2}
-    with pytest.raises(ValueError, match=r"config\.period = 1\.0001"):
-        Episodes(1, config, threads=1, fidelity=settings)
+    for config, settings in (
+        (TaskConfig(period=1.0001), {"time_lapse": 1.0001 / 0.25, "steady_feed": 0.2}),
+        (TaskConfig(period=0.0125, passes="both"), {"method": "imex", "time_step": 2e-4, "time_lapse": 2.5}),
+    ):
+        with pytest.raises(ValueError, match=rf"config\.period = {config.period} s is not a whole number"):
+            Episodes(1, config, threads=1, fidelity=settings)
