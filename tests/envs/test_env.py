@@ -94,6 +94,10 @@ def test_the_page_lists_what_info_holds():
     assert [set(begun | info), set(info["episode_kpis"])] == listed
     assert all(type(value) is float for name, value in info["episode_kpis"].items() if name != "pod")
     assert info["episode_kpis"]["pod"].shape == DEPTHS.shape
+    batch = gym.make_vec("probe_env/Snapshot-v1", 2, autoreset_mode="SameStep", config={"time_limit": 0.1}, **SNAPSHOT)
+    batch.reset(seed=0)
+    infos = batch.step(batch.action_space.sample())[4]
+    assert infos["final_info"]["episode_kpis"]["pod"].shape == (2, *DEPTHS.shape)
 
 
 def test_options_set_fields_of_the_context_and_do_not_change_the_others():
