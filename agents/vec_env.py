@@ -1,4 +1,4 @@
-"""Stable-Baselines3's VecEnv over the native batch, so that PPO trains on the lanes directly."""
+"""Stable-Baselines3's VecEnv over the native batch."""
 
 from __future__ import annotations
 
@@ -21,21 +21,21 @@ ENVIRONMENTS: dict[str, type[ProbeEnv]] = {
     "probe_env/Snapshot-v1": SnapshotEnv,
     "probe_env/Inspection-v0": InspectionEnv,
 }
-"""Class of every id."""
+"""Environment id -> class."""
 
 
 class ProbeVecEnv(VecEnv):
-    """N environments in one batch for SB3; an ended episode restarts in the same step.
+    """N environments in one batch for SB3; an ended episode is reset in the same step.
 
-    ``infos`` then have ``terminal_observation`` and ``TimeLimit.truncated``, which PPO needs to bootstrap.
-    ``reset_infos`` holds the infos of the new episodes.
+    Its info then has ``terminal_observation`` and ``TimeLimit.truncated``, which PPO needs to bootstrap; the info of
+    the reset is in ``reset_infos``.
 
     Args:
         env_id: "probe_env/Insertion-v1", "probe_env/Snapshot-v1" or "probe_env/Inspection-v0".
         num_envs: N; environment i equals a single one with the seed ``seed + i``.
-        threads: maximum number of threads; default: all cores.
-        max_episode_steps: number of steps after which an episode is truncated, as in ``gymnasium.make``; default: only
-            the time limit of ``config``.
+        threads: largest number of threads; default: all cores.
+        max_episode_steps: steps after which an episode is truncated, as in ``gymnasium.make``; default: only by the
+            task's time limit, a field of ``config``.
         config, settings: see ``InsertionEnv``.
 
     Raises:
@@ -69,7 +69,7 @@ class ProbeVecEnv(VecEnv):
 
     @property
     def kernel_seconds(self) -> float:
-        """Time spent in the kernels so far [s], over all threads."""
+        """Total time in the kernels, over all threads [s]."""
         return self.episodes.kernel_seconds
 
     def reset(self) -> VecEnvObs:
@@ -86,7 +86,7 @@ class ProbeVecEnv(VecEnv):
         return observation
 
     def step_async(self, actions: np.ndarray) -> None:
-        """Keep the actions for ``step_wait``."""
+        """Store the actions for ``step_wait``."""
         self._actions = np.asarray(actions, dtype=np.float32)
 
     def step_wait(self) -> VecEnvStepReturn:
@@ -116,7 +116,7 @@ class ProbeVecEnv(VecEnv):
         return [getattr(self, attr_name) for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: int | Iterable[int] | None = None) -> None:
-        """Set an attribute of the batch; it is shared, so ValueError for some environments only."""
+        """Set an attribute of the batch; raises ValueError for a part of the environments, since it is shared."""
         if len(list(self._get_indices(indices))) != self.num_envs:
             raise ValueError(f"{attr_name} is shared by all environments of the batch: leave indices out")
         setattr(self, attr_name, value)
@@ -124,15 +124,15 @@ class ProbeVecEnv(VecEnv):
     def env_method(
         self, method_name: str, *method_args: Any, indices: int | Iterable[int] | None = None, **method_kwargs: Any
     ) -> list[Any]:
-        """Raises AttributeError: a batch has no environments of their own to call."""
+        """Raises AttributeError: a native batch has no single environments."""
         raise AttributeError(f"{method_name}: a native batch has no single environments to call methods of")
 
     def env_is_wrapped(
         self, wrapper_class: type[gym.Wrapper[Any, Any, Any, Any]], indices: int | Iterable[int] | None = None
     ) -> list[bool]:
-        """Never: a native batch has no wrapped environments."""
+        """False: a native batch has no wrapped environments."""
         return [False for _ in self._get_indices(indices)]
 
     def get_images(self) -> Sequence[np.ndarray | None]:
-        """None: render a single environment."""
+        """None for each environment: only a single environment can be rendered."""
         return [None] * self.num_envs

@@ -1,4 +1,4 @@
-"""The form of a tube file: its fields with ranges, units and texts, and the file while it is edited."""
+"""Form of a tube file: fields with ranges, units and texts, and the file during editing."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Field:
     name: str
     description: str
     kind: Kind
-    default: str  # text of the value that is used when it is left out
+    default: str  # text of the default
     range: Range | None  # accepted range
     choices: tuple[str, ...] = ()
 
@@ -92,7 +92,7 @@ def text_of(value: Any) -> str:
 
 
 def value_of(field: Field, text: str) -> Any:
-    """The value that a text stands for; what is not a number stays text, which the model refuses."""
+    """Value of a text; text that is not a number is returned unchanged, and the model refuses it."""
     text = text.strip()
     if field.kind == "choice":
         return BOOLEANS.get(text, text) if field.choices == tuple(BOOLEANS) else text
@@ -130,12 +130,12 @@ def _field(table: str, name: str, model: type[Model]) -> Field:
 
 
 def _kind(annotation: Any) -> tuple[Kind, tuple[str, ...]]:
-    """How a field of a type is written, and its choices."""
+    """Kind of a field from its type, and its choices."""
     if annotation is bool:
         return "choice", tuple(BOOLEANS)
     if get_origin(annotation) is Literal:
         return "choice", get_args(annotation)
-    text = str(annotation)  # with the types in it
+    text = str(annotation)  # contains the types
     if Between.__name__ in text:
         return "figure", ()
     if "tuple[" in text:
@@ -144,7 +144,7 @@ def _kind(annotation: Any) -> tuple[Kind, tuple[str, ...]]:
 
 
 class TubeForm:
-    """A tube file while it is edited.
+    """A tube file during editing.
 
     Attributes:
         path: file; None: the study's tubes.
@@ -169,7 +169,7 @@ class TubeForm:
 
     @property
     def is_study(self) -> bool:
-        """Whether it is the study's tubes, for which there are shipped lists."""
+        """Whether it is the study's tubes, which have shipped lists."""
         return self.path is None and not self.tables
 
     def open(self, name: Path) -> None:
@@ -179,7 +179,7 @@ class TubeForm:
         self.tables = self._opened = read_toml(path)
 
     def text(self, field: Field) -> str:
-        """Text of a field; empty: it is left out."""
+        """Text of a field; empty: not in the file."""
         return text_of(self.tables.get(field.table, {}).get(field.name))
 
     @property
@@ -188,7 +188,7 @@ class TubeForm:
         return str(self.tables.get(POSTERIOR, ""))
 
     def change(self, field: Field, text: str) -> None:
-        """Set a field; an empty text leaves it out."""
+        """Set a field; an empty text removes it."""
         table = {name: value for name, value in self.tables.get(field.table, {}).items() if name != field.name}
         if text.strip():
             table[field.name] = value_of(field, text)
@@ -201,14 +201,14 @@ class TubeForm:
     def save(self, path: Path) -> None:
         """Write the file."""
         if path.suffix != ".toml":
-            raise FileError(path, "the name of a tube file must end with .toml")
+            raise FileError(path, "a tube file must end with .toml")
         if ships("tubes", path):
             raise FileError(path, "this file ships with the project: choose another name")
         self._write(path)
         self.open(path)
 
-    def stored(self, folder: Path) -> Path | None:
-        """File for a run: the opened one, or a copy with the changes in a folder; None: the study's tubes."""
+    def file_for_run(self, folder: Path) -> Path | None:
+        """File for a run: the opened file, or a copy with the changes in ``folder``; None: the study's tubes."""
         if self.is_study or not self.changed:
             return self.path
         digest = hashlib.sha256(self.plant.model_dump_json().encode()).hexdigest()[:6]
@@ -227,7 +227,7 @@ class TubeForm:
         write_atomically(path, tomli_w.dumps(tables))
 
     def _replace(self, name: str, content: Any) -> None:
-        """Replace a table or the posterior if the result is valid; one without content is left out."""
+        """Replace a table or the posterior if the result is valid; without content it is removed."""
         tables = {key: value for key, value in self.tables.items() if key != name}
         tables |= {name: content} if content else {}
         try:

@@ -22,9 +22,9 @@ REQUEST: Final = "request.json"
 class StoredRun:
     """An evaluation folder."""
 
-    folder: Path  # path
+    folder: Path
     complete: bool  # whether all insertions are stored
-    outcome: str  # how the insertions ended, or what is wrong with the folder
+    outcome: str  # how the insertions ended, or the error of the folder
 
 
 def stored_runs(folder: Path) -> list[StoredRun]:
@@ -41,7 +41,7 @@ def stored_run(folder: Path) -> StoredRun:
 
 @lru_cache(maxsize=4096)
 def _read_run(folder: Path, changed: tuple[int, ...]) -> StoredRun:
-    """Cached by the times of the files: a page lists all folders repeatedly."""
+    """Cached by the modification times of the files, since a page lists all folders repeatedly."""
     complete = not (folder / UNFINISHED).exists()
     try:
         if not complete:
@@ -59,12 +59,12 @@ def read_request(folder: Path) -> RunRequest:
     """The request of a stored run."""
     request = read_json(folder / REQUEST, RunRequest).model_copy(update={"output": folder})
     if request.manual:
-        raise ValueError(f"{folder}: a manual drive cannot be resumed: start another one under Manual")
+        raise ValueError(f"{folder}: a manual drive cannot be resumed: start a new one under Manual")
     return request
 
 
 def new_folder(parent: Path, name: str) -> Path:
-    """Create a numbered folder for a run: no run is written into the folder of another one."""
+    """Create a new numbered folder for a run."""
     while True:
         used = (re.match(r"(\d{3,})-", path.name) for path in parent.glob("*"))
         number = 1 + max((int(match[1]) for match in used if match), default=0)

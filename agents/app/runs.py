@@ -38,15 +38,15 @@ INFO_COLUMNS: Final = ("time", "inserted_length", "feed_speed", "air_supply_rate
 COLUMNS: Final = (*INFO_COLUMNS, "target_feed_speed", "target_air_supply_rate", "reward")
 """Columns of a control period in SI units; the reward is the sum of the episode so far."""
 MIN_SAMPLES: Final = 100
-"""Fewer samples of the sensor are not shown."""
+"""Least number of samples of the sensor in a chart."""
 State = Literal["waiting", "running", "finished", "stopped", "failed"]
 ACTIVE: Final = ("waiting", "running")
 GRACE: Final = 2.0
-"""Seconds that a worker may take to end."""
+"""Time that a worker has to end [s]."""
 
 
 class ManualPolicy:
-    """Policy that applies the feed and air set by the user, for one insertion.
+    """Policy that applies the feed and air of the user, for one insertion.
 
     Args:
         config: the task.
@@ -96,7 +96,7 @@ class RunRequest(Stored):
 
     @property
     def command(self) -> str:
-        """Command line that gives the same result; a manual drive has none but the app's."""
+        """Equivalent command line; for a manual drive that of the app."""
         if self.manual:
             return "probe-env app"
         tube = [] if self.tube is None else ["--tube", str(self.tube)]
@@ -105,8 +105,8 @@ class RunRequest(Stored):
 
     def plan(self) -> Plan:
         """The evaluation plan."""
-        place = load_case(self.tube, "test", self.limit)
-        plan = plan_of(self.policies or ("constant",), place, 1, self.fidelity)
+        case = load_case(self.tube, "test", self.limit)
+        plan = plan_of(self.policies or ("constant",), case, 1, self.fidelity)
         manual = {MANUAL: ManualPolicy(plan.config)} if self.manual else {}
         return replace(plan, policies=manual | (dict(plan.policies) if self.policies else {}))
 
@@ -114,11 +114,11 @@ class RunRequest(Stored):
 class Command(NamedTuple):
     """Command to the worker while it simulates.
 
-    The values of "pace" are periods per second, 0 for no limit; of "watch" the index of a probe; of "hand" feed speed
-    [m/s] and air supply [m3/s]. "look" asks for slow motion of what comes next.
+    Values: of "pace" periods per second, 0 for no limit; of "watch" the index of a probe; of "setting" feed speed [m/s]
+    and air supply [m3/s]. "slow motion" requests slow motion of the next period.
     """
 
-    name: Literal["go", "pause", "step", "stop", "pace", "watch", "look", "hand"]
+    name: Literal["continue", "pause", "step", "stop", "pace", "watch", "slow motion", "setting"]
     values: tuple[float, ...] = ()
 
 
@@ -137,7 +137,7 @@ class ProbeShape:
     helix_length: float  # of the tube [m]
     signal_time: FloatArray  # (m,) last second of the sensor's motion, before now [s]
     signal_radial: FloatArray  # (m,) displacement in this time [m]
-    spectrum: FloatArray  # density of that motion used by the filter, at ``inspection.spectrum.FREQUENCY`` [m2/Hz]
+    spectrum: FloatArray  # spectral density of the motion for the filter, at ``inspection.spectrum.FREQUENCY`` [m2/Hz]
     feed_speed: float  # at the end of the period [m/s]
     observation: dict[str, float]  # next observation of the policy, SI units
 
@@ -152,7 +152,7 @@ class Frame:
     rows: tuple[tuple[Unit, FloatArray], ...]  # (p, columns) periods of each episode since the last frame
     shape: ProbeShape | None  # None: no episode has begun
     done: int  # number of finished episodes
-    paused: bool  # whether the worker waits for "go"
+    paused: bool  # whether the worker waits for "continue"
 
 
 @dataclass(frozen=True)
@@ -178,21 +178,21 @@ Message = RunStarted | Frame | Motion | RunEnded
 
 @dataclass
 class Run:
-    """A run and all that its worker has reported."""
+    """A run and the reports of its worker."""
 
-    request: RunRequest  # what is run
+    request: RunRequest  # evaluation to run
     state: State = "waiting"  # waiting, running or how it ended
     done: int = 0  # number of finished episodes
-    problem: str = ""  # error, or what happened to the worker
+    problem: str = ""  # error of the run or the worker
     info: RunStarted = field(default_factory=RunStarted)  # number of episodes, warnings, limit and sensor
     frame: Frame | None = None  # last frame
     motion: Motion | None = None  # last slow motion
     traces: dict[Unit, list[FloatArray]] = field(default_factory=dict)  # (p, columns) parts of every episode
-    commands: list[Command] = field(default_factory=list)  # given before it began
+    commands: list[Command] = field(default_factory=list)  # commands for its start
 
     @property
     def paused(self) -> bool:
-        """Whether it is running and waits for "go"."""
+        """Whether it is running and waits for "continue"."""
         return self.state == "running" and self.frame is not None and self.frame.paused
 
     def trace(self, unit: Unit) -> dict[str, FloatArray]:
@@ -201,7 +201,7 @@ class Run:
         return dict(zip(COLUMNS, np.concatenate(parts).T if parts else np.zeros((len(COLUMNS), 0)), strict=True))
 
     def update(self, message: Message) -> None:
-        """Take in a message of the worker."""
+        """Process a message of the worker."""
         match message:
             case RunStarted():
                 self.info, self.traces = message, {}
@@ -217,7 +217,7 @@ class Run:
 
 
 class RunQueue:
-    """Runs one request after the other in a worker process, which stays for the next.
+    """Runs requests one after the other in one worker process.
 
     Attributes:
         runs: all runs of this process, in order.
@@ -235,7 +235,7 @@ class RunQueue:
         self._thread.start()
 
     def add(self, request: RunRequest, commands: Sequence[Command] = ()) -> Run:
-        """Append a run, with the commands that it gets when it begins."""
+        """Append a run, with commands for its start."""
         run = Run(request, commands=list(commands))
         with self._changed:
             self.runs.append(run)
@@ -258,7 +258,7 @@ class RunQueue:
                     self._pipe.send(command)
 
     def wait(self, run: Run, timeout: float) -> bool:
-        """Whether a run ends within a time [s]."""
+        """Wait for the end of a run; returns whether it ends within ``timeout`` [s]."""
         with self._changed:
             return self._changed.wait_for(lambda: run.state not in ACTIVE, timeout)
 
@@ -315,7 +315,7 @@ class FlawSignal(NamedTuple):
     near: BoolArray  # (k,) whether the sensor is within the width of the flaw
     snr: float  # signal-to-noise ratio of the flaw, by the spectrum of the motion
     filtered: float  # highest filtered signal at the flaw, in standard deviations of the noise
-    threshold: float  # value of ``filtered`` at which a flaw is called
+    threshold: float  # value of ``filtered`` above which a flaw is detected
 
 
 def flaw_signal(sensor: Sensor, shape: ProbeShape, before: float, depth: float) -> FlawSignal | None:
@@ -327,19 +327,19 @@ def flaw_signal(sensor: Sensor, shape: ProbeShape, before: float, depth: float) 
     if len(time) < MIN_SAMPLES or feed == 0.0:
         return None
     speeds = np.full(len(time), feed)
-    passage = Passage(time - time[0], feed * time, speeds, shape.signal_radial, shape.spectrum[None], len(time))
+    recording = Passage(time - time[0], feed * time, speeds, shape.signal_radial, shape.spectrum[None], len(time))
     flaw = Flaw(-feed * before, depth)
-    voltages = channels(sensor, passage, shape.bore, [flaw], np.zeros(0), np.random.default_rng(0))
-    near = np.abs(passage.place - flaw.place) <= 0.5 * sensor.flaw_width
-    response = filtered(sensor, passage, along(sensor, voltages))
-    groove = snr_of_groove(sensor, np.array([feed]), passage.spectrum)
+    voltages = channels(sensor, recording, shape.bore, [flaw], np.zeros(0), np.random.default_rng(0))
+    near = np.abs(recording.place - flaw.place) <= 0.5 * sensor.flaw_width
+    response = filtered(sensor, recording, along(sensor, voltages))
+    groove = snr_of_groove(sensor, np.array([feed]), recording.spectrum)
     snr = float(snr_at(sensor, groove, np.array([depth]))[0, 0])
     highest = float(response[near].max()) if near.any() else 0.0
-    return FlawSignal(time, smoothed(passage, voltages), near, snr, highest, threshold(sensor, shape.helix_length))
+    return FlawSignal(time, smoothed(recording, voltages), near, snr, highest, threshold(sensor, shape.helix_length))
 
 
 def start_worker() -> tuple[subprocess.Popen[bytes], Connection]:
-    """The worker process and a pipe to it; in a session of its own, so that Ctrl-C reaches this process alone."""
+    """Start the worker process; returns it with a pipe. It has another session, so Ctrl-C does not reach it."""
     ours, theirs = Pipe()
     code = f"import sys; sys.path[:] = {sys.path!r}; from agents.app.worker import serve; serve({theirs.fileno()})"
     with theirs:

@@ -1,4 +1,4 @@
-"""Schedules over inserted length: points to edit, the prediction of the vibration map, and lines to compare with."""
+"""Schedules over inserted length: points to edit, prediction of the vibration map, and overlays."""
 
 from __future__ import annotations
 
@@ -42,13 +42,13 @@ Points = dict[str, list[float]]
 def points_of(schedule: Schedule) -> Points:
     """The points of a schedule over inserted length."""
     if schedule.over != "inserted_length":
-        raise ValueError("a schedule over time cannot be edited here: show it as an overlay, or run it as it is")
+        raise ValueError("a schedule over time cannot be edited here: add it as an overlay, or run it unchanged")
     air = [float(f"{value * HOUR:.6g}") for value in schedule.air_supply_rate]
     return {LENGTH: list(schedule.position), FEED: list(schedule.feed_speed), AIR: air}
 
 
-def tidied(points: Mapping[str, Sequence[float]], config: TaskConfig) -> Points:
-    """Points in order, within the ranges of feed and air; ``MISSING`` values are interpolated."""
+def sorted_points(points: Mapping[str, Sequence[float]], config: TaskConfig) -> Points:
+    """Points sorted by length and clipped to the ranges of feed and air; ``MISSING`` values are interpolated."""
     columns = np.array([pd.to_numeric(pd.Series(points[name]), errors="coerce") for name in NAMES], dtype=float)
     columns[~np.isfinite(columns)] = MISSING
     columns = columns[:, np.argsort(columns[0], kind="stable")]
@@ -66,7 +66,7 @@ def tidied(points: Mapping[str, Sequence[float]], config: TaskConfig) -> Points:
 
 
 def schedule_of(points: Mapping[str, Sequence[object]], interpolation: Interpolation = "linear") -> Schedule:
-    """The schedule of points, read as its file is."""
+    """Schedule of points, validated like a file."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "schedule.csv"
         path.write_text(csv_text(points, interpolation), encoding="utf-8")
@@ -94,19 +94,19 @@ class Prediction:
     within: float  # share of the length within the limit
     seconds: float  # duration of the insertion [s]
     air: float  # volume of air [m3]
-    reward: float  # mean of an insertion, without jerk and lost drive, which are not in the map
+    reward: float  # mean reward of an insertion, without jerk and lost drive, which the map does not predict
 
 
-def predict(schedule: Schedule, place: EvaluationCase) -> Prediction:
-    """Prediction for a schedule in the tubes of a place; the simulation can differ."""
+def predict(schedule: Schedule, case: EvaluationCase) -> Prediction:
+    """Prediction of the vibration map for a schedule in the tubes of a case."""
     if schedule.over != "inserted_length":
         raise ValueError("the vibration map needs a schedule over inserted length: this one is over time")
-    config = place.config
-    tubes = np.array([[getattr(context, name) for name in CONTEXT] for context in place.contexts])
+    config = case.config
+    tubes = np.array([[getattr(context, name) for name in CONTEXT] for context in case.contexts])
     length = np.arange(FIRST + 0.5, config.scene.tube.helix_length, 1.0)
     lengths, contexts = np.tile(length, len(tubes)), np.repeat(tubes, len(length), axis=0)
     feed, air = config.feasible(*schedule.at(lengths)).T
-    mean, deviation = place.vibration.predict(lengths, feed, air, contexts, config.scene)
+    mean, deviation = case.vibration.predict(lengths, feed, air, contexts, config.scene)
     cost = expected_cost(mean, deviation, feed, air, config)
     by_tube = mean.reshape(len(tubes), -1)
     middle = by_tube.mean(axis=0)
@@ -132,21 +132,21 @@ class Line(NamedTuple):
     air: FloatArray
 
 
-def policy_line(spec: str, place: EvaluationCase) -> Line:
-    """Feed and air of a policy or a schedule file in the first tube of a place."""
+def policy_line(spec: str, case: EvaluationCase) -> Line:
+    """Feed and air of a policy or a schedule file in the first tube of a case."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # the line shows what the device can feed
-        policy = make_policy(spec, place.config.full_observation, place.vibration)
+        warnings.simplefilter("ignore")  # the line shows values within the range of the device
+        policy = make_policy(spec, case.config.full_observation, case.vibration)
     if isinstance(policy, Replayed):  # over time
         schedule = policy.schedule
         length = (schedule.start_length or 0.0) + schedule.fed(schedule.position)
         return Line(length, np.array(schedule.feed_speed), np.array(schedule.air_supply_rate))
     if not isinstance(policy, FixedPolicy) or (spec not in BY_LENGTH and not hasattr(policy, "schedule")):
-        raise ValueError(f"policy = {spec!r} depends on what it measures: run it to see its feed")
-    length = np.arange(FIRST, place.config.scene.tube.helix_length + 0.5 * LINE_STEP, LINE_STEP)
-    tube = {name: np.full(len(length), value) for name, value in place.contexts[0].model_dump().items()}
+        raise ValueError(f"policy = {spec!r} depends on measurements: run it to see its feed")
+    length = np.arange(FIRST, case.config.scene.tube.helix_length + 0.5 * LINE_STEP, LINE_STEP)
+    tube = {name: np.full(len(length), value) for name, value in case.contexts[0].model_dump().items()}
     observation = tube | {"time": np.zeros(len(length)), "inserted_length": length}
-    feed, air = place.config.feasible(*policy.targets(observation, np.zeros((len(length), policy.memory)))).T
+    feed, air = case.config.feasible(*policy.targets(observation, np.zeros((len(length), policy.memory)))).T
     return Line(length, feed, air)
 
 

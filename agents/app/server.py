@@ -26,7 +26,7 @@ HOSTS: Final = ("localhost", "127.0.0.1")
 
 
 def check_host(handler: RequestHandler) -> str:
-    """Refuse requests addressed to another host name, which another site may have pointed here; returns the user."""
+    """Refuse requests to another host name (DNS rebinding); returns the user."""
     if handler.request.host_name not in HOSTS:
         raise HTTPError(403)
     return "local"
@@ -40,7 +40,7 @@ class LocalAuth(NullAuth):  # type: ignore[misc]  # bokeh is not typed
 
 
 class ReportHandler(RequestHandler):
-    """Serves ``report.html`` of evaluation folders and nothing else."""
+    """Serves ``report.html`` of evaluation folders only."""
 
     def get(self) -> None:
         """Send the report of the folder in the query."""
@@ -56,7 +56,7 @@ def serve(tube: Path | None, port: int, output: Path, show: bool) -> None:
     """Serve the page until interrupted.
 
     Args:
-        tube: tube file, or name of a shipped one, with which pages begin; None: the study's tubes.
+        tube: initial tube file, or name of a shipped one; None: the study's tubes.
         port: port; 0: any free one.
         output: folder of runs, schedules and tubes.
         show: open a browser.
@@ -80,7 +80,7 @@ def serve(tube: Path | None, port: int, output: Path, show: bool) -> None:
 
 
 def make_server(app: AppState, tube: Path | None, port: int) -> Server:
-    """A server that has not started; pages load everything from it."""
+    """Make a server, not started; pages load all files from it."""
 
     def collect_garbage(session: Any) -> None:  # of closed pages
         gc.unfreeze()

@@ -39,15 +39,15 @@ class Session:
     interpolation: Interpolation = "linear"  # schedule
     run: Run | None = None  # run to show; None: none yet
 
-    def place(self, limit: int = 6) -> EvaluationCase:
-        """Task, tubes and vibration map of the present tube."""
+    def case(self, limit: int = 6) -> EvaluationCase:
+        """Evaluation case of the present tube."""
         if self.tube.is_study:
             return case_of(None, "test", limit)
         vibration = stored_map() if self.tube.changed else map_of(self.tube.path, self.tube.plant)
         return case_of(self.tube.plant, "test", limit, vibration)
 
     def open_schedule(self, path: Path) -> None:
-        """Take the points of a schedule file."""
+        """Read the points of a schedule file."""
         schedule = Schedule.read(path)
         try:
             self.points, self.interpolation = points_of(schedule), schedule.interpolation
@@ -63,19 +63,19 @@ class Session:
     def start(
         self, policies: Sequence[str], commands: Sequence[Command], with_schedule: bool = False, **options: Any
     ) -> Run:
-        """Add a run of policies, of the session's schedule under its own name, or of a manual drive.
+        """Add a run of policies, of the session's schedule, or of a manual drive.
 
         Args:
-            policies: specs.
-            commands: given to the worker when the run begins.
-            with_schedule: whether the session's schedule takes part.
+            policies: policy specs.
+            commands: commands for the start of the run.
+            with_schedule: whether to include the session's schedule.
             options: other fields of the request.
         """
         if with_schedule:
             schedule_of(self.points, self.interpolation)
         elif not policies:
             raise ValueError("policies = none: at least one is needed")
-        tube = self.tube.stored(self.app.output / "tubes")
+        tube = self.tube.file_for_run(self.app.output / "tubes")
         name = MANUAL if options.get("manual") else self.name if with_schedule else policies[0]
         folder = new_folder(self.app.output, name)
         specs = [spec for spec in policies if not (with_schedule and spec == self.name)]

@@ -1,6 +1,6 @@
-"""The worker process: ``probe-env evaluate`` that can be watched, slowed down, paused and stopped.
+"""Worker process: ``probe-env evaluate`` that can be watched, slowed down, paused and stopped.
 
-It ends when the pipe to the server closes; everything that was finished is then in its folder.
+It ends when the pipe to the server closes; finished insertions are then stored.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from agents.app.runs import (
 )
 from agents.evaluation.plan import BATCH, Plan, RolloutRunner, Unit, run_plan, stored_episodes
 from agents.evaluation.run import claim_folder, write_report
-from agents.policies.catalogue import own_policies
+from agents.policies.catalogue import user_policies
 from agents.records.manifest import write_json
 from agents.terminal.refusals import refusal
 from probe_env import Plant
@@ -52,36 +52,36 @@ class StoppedError(Exception):
 
 
 def serve(descriptor: int) -> None:
-    """Run the requests that come through the pipe until it closes."""
+    """Run requests from the pipe until it closes."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     pipe = Connection(descriptor)
     with suppress(EOFError, OSError):
-        # simulated once, so that the first run begins without loading kernels
+        # load the kernels before the first run
         episodes = Episodes(1, Plant().configured(changes={"settle_time": 0.01}), threads=1, fidelity="fast")
         episodes.reset([0], {0: np.random.default_rng(0)})
         gc.freeze()  # a collection of all loaded modules takes 0.2 s
         while True:
             message = pipe.recv()
             if isinstance(message, RunRequest):  # commands after the end of a run are ignored
-                _Player(pipe, message).play()
+                _RequestRunner(pipe, message).run()
     os._exit(0)
 
 
-def row_of(playing: RolloutRunner, k: int) -> tuple[float, ...]:
+def row_of(runner: RolloutRunner, k: int) -> tuple[float, ...]:
     """The last period of probe ``k``, the columns ``runs.COLUMNS``."""
-    assert playing.last is not None
+    assert runner.last is not None
     names = (*INFO_COLUMNS, "target_feed_speed", "target_air_supply_rate")
-    return (*(float(playing.last.infos[k][name]) for name in names), playing.episodes.scorer.metrics[k].reward)
+    return (*(float(runner.last.infos[k][name]) for name in names), runner.episodes.scorer.metrics[k].reward)
 
 
-def shape_of(playing: RolloutRunner, k: int) -> ProbeShape:
+def shape_of(runner: RolloutRunner, k: int) -> ProbeShape:
     """Probe ``k`` at the end of its last period."""
-    episodes = playing.episodes
+    episodes = runner.episodes
     simulator = episodes.batch.simulators[k]
     chain, root, scene = simulator.chain, simulator.root, simulator.scene
     nodes = np.flatnonzero(chain.contact_stiffness[: root + 1] > 0.0)[::-1]
     radial = episodes.meter.last_second(k)
-    observation = in_si_units(episodes.config, playing.observed(k))
+    observation = in_si_units(episodes.config, runner.observed(k))
     return ProbeShape(
         position=(root - nodes) * chain.element_length,
         axial=simulator.state.d[nodes, 0],
@@ -100,8 +100,8 @@ def shape_of(playing: RolloutRunner, k: int) -> ProbeShape:
     )
 
 
-class _Player:
-    """Plays one request and obeys the commands sent meanwhile."""
+class _RequestRunner:
+    """Runs one request and executes commands during the run."""
 
     def __init__(self, pipe: Connection, request: RunRequest) -> None:
         self.pipe, self.request = pipe, request
@@ -110,15 +110,15 @@ class _Player:
         self.shown_at = self.due = 0.0
         self.manual: ManualPolicy | None = None
 
-    def play(self) -> None:
-        """Play the missing episodes and report how the run ended."""
+    def run(self) -> None:
+        """Simulate the missing episodes and report the end of the run."""
         try:
             with warnings.catch_warnings(record=True) as caught:
                 warnings.simplefilter("always")
                 plan = self.request.plan()
             request, names, output = self.request, list(plan.policies), self.request.output
-            own = [MANUAL] * request.manual + own_policies(request.policies)
-            claim_folder(plan, output, names[1] if request.manual and len(names) > 1 else None, own)
+            users = [MANUAL] * request.manual + user_policies(request.policies)
+            claim_folder(plan, output, names[1] if request.manual and len(names) > 1 else None, users)
             write_json(output / REQUEST, request.model_dump(mode="json"))  # to resume the run
             stored = stored_episodes(plan, output)
             self.done = sum(key in stored for key, *_ in plan.planned())
@@ -136,43 +136,43 @@ class _Player:
             self.pipe.send(RunEnded("failed", refusal(error)))
 
     def _source(self, plan: Plan, missing: deque[Unit]) -> Iterator[str]:
-        """The lines of the episodes; obeys commands and sends frames in between."""
+        """Yield the journal lines of the episodes; executes commands and sends frames in between."""
         self.manual = next((p for p in plan.policies.values() if isinstance(p, ManualPolicy)), None)
-        playing = RolloutRunner(plan, missing, BATCH, None)
+        runner = RolloutRunner(plan, missing, BATCH, None)
         self.due = time.monotonic()
-        while not playing.over:
-            self._receive(playing)
-            if not playing.decided:
-                playing.decide()
-            ended = list(playing.advance())
-            for k in np.flatnonzero(playing.active).tolist():
-                self.rows.setdefault(playing.unit(k), []).append(row_of(playing, k))
+        while not runner.over:
+            self._receive(runner)
+            if not runner.decided:
+                runner.decide()
+            ended = list(runner.advance())
+            for k in np.flatnonzero(runner.active).tolist():
+                self.rows.setdefault(runner.unit(k), []).append(row_of(runner, k))
             self.done += len(ended)
             yield from ended
-            if playing.over or time.monotonic() - self.shown_at >= 1.0 / FRAMES_PER_SECOND:
-                self._show(playing)
+            if runner.over or time.monotonic() - self.shown_at >= 1.0 / FRAMES_PER_SECOND:
+                self._show(runner)
 
-    def _receive(self, playing: RolloutRunner) -> None:
-        """Obey commands; wait while paused, or as long as the pace asks for."""
+    def _receive(self, runner: RolloutRunner) -> None:
+        """Execute commands; wait while paused or to limit the pace."""
         while True:
             self.due = max(self.due, time.monotonic() - 1.0)  # does not catch up after a wait
             left = None if self.paused else max(self.due - time.monotonic(), 0.0) if self.pace else 0.0
             if not self.pipe.poll(left):
                 break
             command = self.pipe.recv()
-            if isinstance(command, Command) and self._obey(command, playing):
+            if isinstance(command, Command) and self._execute(command, runner):
                 break
         if self.pace:
             self.due += 1.0 / self.pace
 
-    def _obey(self, command: Command, playing: RolloutRunner) -> bool:
-        """Obey a command; returns whether to simulate a period at once."""
+    def _execute(self, command: Command, runner: RolloutRunner) -> bool:
+        """Execute a command; returns whether to simulate a period immediately."""
         match command.name:
-            case "go":
+            case "continue":
                 self.paused, self.due = False, time.monotonic()
             case "pause":
                 self.paused = True
-                self._show(playing)
+                self._show(runner)
             case "step":
                 self.paused, self.shown_at = True, 0.0
                 return True
@@ -182,37 +182,37 @@ class _Player:
                 (self.pace,), self.due = command.values, time.monotonic()
             case "watch":
                 self.watched = int(command.values[0])
-                self._show(playing)
-            case "look":
-                self._look(playing)
-            case "hand" if self.manual is not None:
+                self._show(runner)
+            case "slow motion":
+                self._slow_motion(runner)
+            case "setting" if self.manual is not None:
                 self.manual.feed_speed, self.manual.air_supply_rate = command.values
         return False
 
-    def _show(self, playing: RolloutRunner) -> None:
+    def _show(self, runner: RolloutRunner) -> None:
         """Send a frame."""
-        running = playing.episodes.running
+        running = runner.episodes.running
         if self.watched >= len(running) or not running[self.watched]:
             self.watched = int(running.argmax()) if running.any() else min(self.watched, len(running) - 1)
-        units = tuple(unit if running[k] else None for k, unit in enumerate(playing.units))
+        units = tuple(unit if running[k] else None for k, unit in enumerate(runner.units))
         rows = tuple((unit, np.array(rows)) for unit, rows in self.rows.items())
-        unit = playing.units[self.watched]
-        shape = None if unit is None else shape_of(playing, self.watched)
+        unit = runner.units[self.watched]
+        shape = None if unit is None else shape_of(runner, self.watched)
         self.pipe.send(Frame(units, self.watched, unit, rows, shape, self.done, self.paused))
         self.rows, self.shown_at = {}, time.monotonic()
 
-    def _look(self, playing: RolloutRunner) -> None:
-        """Send slow motion of the watched probe, simulated on a copy: the run itself does not change."""
-        if not playing.decided:
-            playing.decide()
-        k, episodes = self.watched, playing.episodes
+    def _slow_motion(self, runner: RolloutRunner) -> None:
+        """Send slow motion of the watched probe, simulated on a copy, so that the run does not change."""
+        if not runner.decided:
+            runner.decide()
+        k, episodes = self.watched, runner.episodes
         if not episodes.running[k]:
             return
         simulator, window, duration, length = episodes.batch.simulators[k], episodes.window, *SLOW_MOTION
         axial = window.axial[:, k] if window and window.axial is not None else np.zeros(0)
         radial = window.radial[:, k] if window and window.radial is not None else np.zeros(0)
         watch = Watch(simulator, length, axial, radial)
-        feed, air = episodes.config.targets(playing.actions, allow_standstill=True)[k] * episodes.direction[k]
-        with suppress(SimulationError):  # what was seen until it diverged is shown
+        feed, air = episodes.config.targets(runner.actions, allow_standstill=True)[k] * episodes.direction[k]
+        with suppress(SimulationError):  # the motion before divergence is sent
             watch.follow(simulator, float(feed), float(air), duration)
         self.pipe.send(watch.motion())

@@ -99,25 +99,25 @@ class Calibrate:
         for needed in ("emcee", "corner"):  # before half a minute of sampling
             import_module(needed)
 
-        from agents.plant.calibration import calibrate, draw_bands, draw_corner, print_calibration, recorded_of
+        from agents.plant.calibration import calibrate, draw_bands, draw_corner, print_calibration, read_cases
         from agents.plant.response import stored_response
         from agents.policies.cases import plant_at
         from agents.records.manifest import origin, write_json
         from probe_env import Plant
 
         plant = plant_at(self.tube) or Plant()
-        recorded = recorded_of(self.logs, plant, self.helix_diameters, self.tubes, self.columns)
-        calibration = calibrate(recorded, plant, stored_response(), str(self.tube or "tube"))
+        cases = read_cases(self.logs, plant, self.helix_diameters, self.tubes, self.columns)
+        calibration = calibrate(cases, plant, stored_response(), str(self.tube or "tube"))
         target = self.output / "calibration.json"
         write_json(target, calibration.to_json() | {"provenance": origin()})
         pictures = [
             draw_corner(calibration, self.output / "corner.png"),
             draw_bands(calibration, self.output / "bands.png"),
         ]
-        print_calibration(calibration, own=self.tube is not None)
+        print_calibration(calibration, with_file=self.tube is not None)
         print(f"written: {', '.join(map(str, (target, *pictures)))}")
         if calibration.misfits:
-            print("this posterior is not usable: a tube.toml that names it gives a warning")
+            print("do not use this posterior: a tube.toml that names it gives a warning")
         else:
             print(f'use it: posterior = "{target}" above the tables of your tube.toml')
 

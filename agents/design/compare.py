@@ -30,7 +30,7 @@ from probe_env.settings import explain
 STORED: Final = "designs.csv"
 COLUMNS: Final[Columns] = {"design": "name", "context": "count", **dict.fromkeys(CORE, "number")}
 NEWER: Final[Columns] = dict.fromkeys(OF_DESIGNS, "number")
-"""Columns of the stored table that a summary needs, and those that it shows where they are there."""
+"""Required columns of the stored table, and optional ones."""
 BATCH = 16
 
 
@@ -47,22 +47,22 @@ class Trial(Stored):
 
 
 def compare(designs: Mapping[str, Design], trials: DesignTrials, output: Path) -> pd.DataFrame:
-    """Run what is missing in ``output``, store designs.csv and summary.csv; one row per design and context.
+    """Run missing trials, store designs.csv and summary.csv; returns one row per design and context.
 
     Args:
-        designs: by name.
-        trials: how they are tried.
+        designs: name -> design.
+        trials: settings of the trials.
         output: folder.
 
     Raises:
-        ValueError: no designs, or feed, measure or a design do not fit; nothing was run.
+        ValueError: no designs, or feed, measure or a design is not valid; nothing is run.
     """
     if not designs:
-        raise ValueError("designs = none: give at least one design file (TOML) or the name of one that ships")
+        raise ValueError("designs = none: give at least one design file (TOML) or the name of a shipped design")
     check_measure(trials.config)
     segment_of(trials.config)
     feed = None if trials.full else trials.schedule()
-    if trials.tube != TABLE_2:  # there none of the design space is refused
+    if trials.tube != TABLE_2:  # table 2 accepts the whole design space
         name = name_and_spec(trials.feed)[0]
         check_domains(domains_of([trials.feed], {name: trials.policy()}), trials.config, trials.contexts, strict=False)
         for name, design in designs.items():
@@ -76,9 +76,9 @@ def compare(designs: Mapping[str, Design], trials: DesignTrials, output: Path) -
     claim(output, trials.tube)
     units = [(name, k) for name in designs for k in range(len(trials.contexts))]
     keys = {u: trials.key(designs[u[0]], trials.contexts[u[1]], u[1]) for u in units}
-    every, done = set(keys.values()), journal.read()
+    planned, done = set(keys.values()), journal.read()
     missing = [unit for unit in units if keys[unit] not in done]
-    announce(Work("trial", len(every), lambda: len(every & journal.read().keys()), output))
+    announce(Work("trial", len(planned), lambda: len(planned & journal.read().keys()), output))
     if missing:
         with journal.appending() as append, tqdm(total=len(missing), desc="designs", unit="trial") as bar:
             for begin in range(0, len(missing), BATCH):
@@ -104,7 +104,7 @@ def compare(designs: Mapping[str, Design], trials: DesignTrials, output: Path) -
 
 
 def summarise(table: pd.DataFrame) -> pd.DataFrame:
-    """Mean of every KPI of every design with its interval over the contexts, and paired with the first design's."""
+    """Mean and interval of every KPI of every design over the contexts, and paired difference from the first design."""
     first, rows = str(table["design"].iloc[0]), []
     by_design = {name: part.set_index("context") for name, part in table.groupby("design", sort=False)}
     for name, part in by_design.items():
@@ -133,15 +133,15 @@ def _text(interval: Interval, factor: float = 1.0) -> str:
 
 def header(summary: pd.DataFrame) -> list[str]:
     """Headers of ``cells``."""
-    shown = kpis_of(summary["kpi"], OF_DESIGNS).values()
-    return ["design", *(f"{name} [{unit}]" if unit else name for name, _, unit in shown), "reward, change"]
+    kpis = kpis_of(summary["kpi"], OF_DESIGNS).values()
+    return ["design", *(f"{name} [{unit}]" if unit else name for name, _, unit in kpis), "reward, change"]
 
 
 def read_comparison(folder: Path) -> pd.DataFrame:
-    """The stored rows of a comparison, one per design and context.
+    """Read the rows of a comparison, one per design and context.
 
     Raises:
-        FileNotFoundError: none is stored there.
+        FileNotFoundError: no comparison in the folder.
         FileError: the file is damaged.
     """
     return read_csv(folder / STORED, COLUMNS, NEWER)

@@ -1,4 +1,4 @@
-"""Design problem: what a search for probes varies, and the objectives of a point as means over tubes."""
+"""Design problem: search space of probes, and the objectives of a point over tubes."""
 
 from __future__ import annotations
 
@@ -29,17 +29,17 @@ IMPROVED: Final = Design(guide_length=10.0, guide_float_diameter=0.020, carrier_
 
 @dataclass(frozen=True)
 class DesignProblem(DesignTrials):
-    """What is searched and how a point is judged: every design in all contexts.
+    """Search space and objectives; every design is simulated in all contexts.
 
-    ``feed``: "best-constant" searches feed speed and air together with the probe; else the spec of a schedule, or with
-    ``full`` of any policy.
+    ``feed``: "best-constant" searches feed speed and air together with the probe; else a schedule, or with ``full`` any
+    policy.
     """
 
     feed: str = "best-constant"
 
     @property
     def axes(self) -> dict[str, tuple[float, float, str]]:
-        """Name -> lowest, highest, unit of everything that is searched: what fits the bore, what the task gives."""
+        """Name -> lowest, highest, unit of each variable, within the bore and the ranges of the task."""
         probe, config = ranges_in(self.config.scene), self.config
         if self.feed != "best-constant":
             return probe
@@ -48,7 +48,7 @@ class DesignProblem(DesignTrials):
 
     @property
     def cuts(self) -> tuple[str, ...]:
-        """Sentences about what of the design space does not fit the plant, and is not searched."""
+        """Messages about parts of the design space that do not fit the plant and are not searched."""
         return tuple(
             f"{name} is searched from {low:g} to {high:g} {unit}, not from {RANGES[name][0]:g} to {RANGES[name][1]:g}"
             f" {unit}: the rest does not fit the bore and the cable of {self.tube.name}"
@@ -58,51 +58,51 @@ class DesignProblem(DesignTrials):
 
     @property
     def probes(self) -> dict[str, Design]:
-        """What a search is to beat: the study's two probes, its original one's place taken by the plant's own."""
+        """Reference probes of a search: the plant's (or the study's original) and the study's improved one."""
         try:
-            own = Design().completed(self.config.scene.probe)
-        except ValueError:  # it is not one that the search may build
-            own = Design()
-        first = "the study's original" if own == Design() else "the plant's own"
-        designs = {first: own, "the study's improved": IMPROVED}
+            probe = Design().completed(self.config.scene.probe)
+        except ValueError:  # outside the design space
+            probe = Design()
+        first = "the study's original" if probe == Design() else "the plant's own"
+        designs = {first: probe, "the study's improved": IMPROVED}
         return {name: design.cut_to(self.config.scene) for name, design in designs.items()}
 
     def starts(self) -> list[dict[str, float]]:
-        """These probes, at several feeds where feed is searched."""
+        """First points: the reference probes, at several feeds if the feed is searched."""
         return [probe.model_dump() | feed for probe in self.probes.values() for feed in self.reference_feeds()]
 
     def reference_feeds(self) -> list[dict[str, float]]:
-        """Feeds that these probes are tried at: the nearest that the task gives."""
+        """Feeds of the reference probes, clipped to the ranges of the task."""
         if self.feed != "best-constant":
             return [{}]
         (slow, fast, _), (least, most, _) = (self.axes[name] for name in ("feed_speed", "air_supply_rate"))
         pairs = ((u, q / 3600.0) for u in (0.08, 0.12, 0.2, 0.3) for q in (63.0, 110.0))
-        given = dict.fromkeys((min(max(u, slow), fast), min(max(q, least), most)) for u, q in pairs)
-        return [{"feed_speed": u, "air_supply_rate": q} for u, q in given]
+        clipped = dict.fromkeys((min(max(u, slow), fast), min(max(q, least), most)) for u, q in pairs)
+        return [{"feed_speed": u, "air_supply_rate": q} for u, q in clipped]
 
     def identity(self) -> str:
-        """Short hash of all that the objectives depend on: trials of another problem must not be mixed in.
+        """Short hash of all settings of the objectives, so that trials of different problems are not mixed.
 
         Raises:
-            ValueError: the feed is no policy.
+            ValueError: the feed is not a policy.
         """
         feed = None if self.feed == "best-constant" else self.policy().describe()
         tubes = [context.model_dump() for context in self.contexts]
         return self._hashed([self.axes, tubes, feed])[:12]
 
     def value(self, point: dict[str, float], workers: Workers = HERE) -> Values:
-        """The objectives: mean over the tubes, but the least drive margin; lost drive and divergence count in full.
+        """The objectives: means over the tubes, and the smallest drive margin.
 
-        What a probe does not get to has the ratio's cap and the slowest time: all of a plant's tube in which it cannot
-        be simulated (see ``probe_env.envs.episodes.limits``).
+        Length that a probe does not inspect, after lost drive, divergence, or if it cannot be simulated in a tube (see
+        ``probe_env.envs.episodes.limits``), has the cap of the ratio and the slowest feed.
         """
-        everywhere = list(enumerate(self.contexts))
+        tubes = list(enumerate(self.contexts))
         if workers.here:
-            kpis = self.kpis(point, everywhere)
+            kpis = self.kpis(point, tubes)
         else:
-            portions = [everywhere[k :: workers.jobs] for k in range(min(workers.jobs, len(everywhere)))]
+            portions = [tubes[k :: workers.jobs] for k in range(min(workers.jobs, len(tubes)))]
             kpis = [row for _, rows in workers.map(partial(self.kpis, point, threads=1), portions) for row in rows]
-        kpis.sort(key=lambda row: row["tube"])  # sums do not depend on who was first
+        kpis.sort(key=lambda row: row["tube"])  # so that sums do not depend on the order of the workers
         slowest, cap = 1.0 / self.config.feed_speeds[0], self.config.ratio_cap**2
         span = segment_of(self.config).span
         squares = [(k["mean_square_ratio"] * (span - k["missed_m"]) + cap * k["missed_m"]) / span for k in kpis]
@@ -112,7 +112,7 @@ class DesignProblem(DesignTrials):
     def kpis(
         self, point: dict[str, float], tubes: Sequence[tuple[int, Context]], threads: int | None = None
     ) -> list[dict[str, float]]:
-        """KPIs of a point in some of the tubes, given with their indices."""
+        """KPIs of a point in some tubes, (index, tube) each."""
         design, feed = self._probe(point)
         fit = {k: (design, context) for k, context in tubes if self.can_be_tried(point, context)}
         rows = dict(zip(fit, self.run([*fit.values()], [*fit], threads, feed) if fit else [], strict=True))
@@ -121,7 +121,7 @@ class DesignProblem(DesignTrials):
         return [rows.get(k, nothing) | {"tube": float(k)} for k, _ in tubes]
 
     def _probe(self, point: dict[str, float]) -> tuple[Design, Schedule | None]:
-        """The probe of a point, and its feed where that is searched."""
+        """The probe of a point, and its feed if the feed is searched."""
         design = Design(**{name: point[name] for name in RANGES})
         if self.feed != "best-constant":
             return design, None
@@ -129,34 +129,34 @@ class DesignProblem(DesignTrials):
         return design, Schedule("inserted_length", "linear", (5.0,), feed, air)
 
     def can_be_tried(self, point: dict[str, float], context: Context) -> bool:
-        """Whether a probe can be simulated in a tube; in table 2's all of the design space can."""
+        """Whether a probe can be simulated in a tube; always true in table 2."""
         if self.tube == TABLE_2:
             return True
         design, feed = self._probe(point)
-        given = feed or (None if self.full else self.schedule())
+        schedule = feed or (None if self.full else self.schedule())
         with suppress(ValueError):
-            check_candidate(design, context, self.config, self.fidelity, given)
+            check_candidate(design, context, self.config, self.fidelity, schedule)
             return True
         return False
 
 
-def design_problem(feed: str, full: bool, place: EvaluationCase, fidelity: str) -> DesignProblem:
-    """The problem that a command names.
+def design_problem(feed: str, full: bool, case: EvaluationCase, fidelity: str) -> DesignProblem:
+    """Make the problem of the command ``design``.
 
     Args:
         feed: "best-constant", a schedule, or with ``full`` any policy.
-        full: whole insertions.
-        place: task and tubes.
+        full: simulate whole insertions.
+        case: task and tubes.
         fidelity: preset, or "auto".
 
     Raises:
-        ValueError: an argument is not valid, the feed or the tubes do not fit, or no probe to beat can be tried.
+        ValueError: an argument is not valid, or no reference probe can be simulated in the tubes.
     """
     if full and feed == "best-constant":
-        raise ValueError("feed = 'best-constant' is searched in sections; with full give a schedule or an agent")
-    config = place.config.full_observation
+        raise ValueError("feed = 'best-constant' needs sections; with --full give a schedule or an agent")
+    config = case.config.full_observation
     chosen = resolve_fidelity(fidelity, config.scene)
-    problem = DesignProblem(place.contexts, feed, full, chosen, config, place.vibration, place.tube)
+    problem = DesignProblem(case.contexts, feed, full, chosen, config, case.vibration, case.tube)
     check_measure(config)
     segment_of(config)
     if feed != "best-constant" and not full:

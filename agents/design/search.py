@@ -1,6 +1,6 @@
 """Multi-objective search for probe designs (vibration, inspection time, drive margin) by Optuna's NSGA-II.
 
-Trials are appended to a journal, and the sampler is seeded by the number of complete ones: a search that was killed
+Trials are appended to a journal, and the sampler is seeded by the number of complete trials: an interrupted search
 continues to the same front.
 """
 
@@ -43,8 +43,8 @@ from probe_env.settings import within
 class RepeatableNSGAII(NSGAIISampler):
     """NSGA-II with parents in the order of their trials.
 
-    Optuna returns newly selected parents in the order of selection, but cached ones in the order of their trials: a
-    trial that was killed right after the selection would draw other parents when it runs again.
+    Optuna returns newly selected parents in the order of selection, but cached ones in the order of their trials, so a
+    trial that was interrupted after the selection would have other parents when it runs again.
     """
 
     def select_parent(self, study: optuna.Study, generation: int) -> list[FrozenTrial]:
@@ -62,16 +62,16 @@ def search(
     seed: int = 0,
     starts: Sequence[Mapping[str, float]] = (),
 ) -> optuna.Study:
-    """Run a search, or the rest of it, and return the study.
+    """Run or continue a search and return the study.
 
     Args:
         axes: name -> lowest, highest, unit.
-        value: objectives of a point, in the order of ``OBJECTIVES``.
-        trials: complete trials at the end.
+        value: function from a point to its objectives, in the order of ``OBJECTIVES``.
+        trials: total number of complete trials.
         output: folder of the journal.
-        name: of the study in it.
-        population: designs in a generation.
-        seed: of the search.
+        name: name of the study in the journal.
+        population: designs per generation.
+        seed: seed of the search.
         starts: first points, part of the first generation.
     """
     output.mkdir(parents=True, exist_ok=True)
@@ -98,7 +98,7 @@ def search(
 
 
 def trials_table(study: optuna.Study) -> pd.DataFrame:
-    """Complete trials: number, point, objectives, the commit that made it, and whether the design is on the front."""
+    """Complete trials: number, point, objectives, commit, and whether the design is on the front."""
     complete = sorted(study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,)), key=lambda trial: trial.number)
     rows = (
         {"trial": k} | trial.params | dict(zip(OBJECTIVES, trial.values, strict=True))
@@ -114,8 +114,8 @@ def trials_table(study: optuna.Study) -> pd.DataFrame:
 def sensitivity(table: pd.DataFrame, axes: dict[str, tuple[float, float, str]]) -> pd.DataFrame:
     """Standardised rank regression of every objective on all parameters, with 95 % bootstrap intervals.
 
-    A coefficient of +1 would say that the objective rises with the parameter alone; the trials are those of the search,
-    so parameters that it soon agreed on show less than they would over the whole space.
+    +1: the objective increases with this parameter only. The trials are those of the search, so coefficients of
+    parameters that converged early are smaller than over the whole space.
     """
     names = list(axes)
     rows: list[tuple[str, str, float, float, float]] = []
@@ -136,17 +136,17 @@ def sensitivity(table: pd.DataFrame, axes: dict[str, tuple[float, float, str]]) 
 def run_design_search(
     problem: DesignProblem, trials: int, output: Path, seed: int, workers: Workers = HERE
 ) -> pd.DataFrame:
-    """The command ``design``: stores trials.csv, front.csv, sensitivity.csv, figures and the best design as TOML.
+    """Run the command ``design``: stores trials.csv, front.csv, sensitivity.csv, figures and the best design as TOML.
 
     Args:
-        problem: what is searched.
-        trials: designs tried at the end.
+        problem: search space and objectives.
+        trials: total number of designs.
         output: folder of journal, tables and figures; a search in it is continued.
-        seed: of the search.
-        workers: that the tubes of a trial are spread over.
+        seed: seed of the search.
+        workers: workers that share the tubes of a trial.
 
     Raises:
-        ValueError: an argument is not valid; nothing was run.
+        ValueError: an argument is not valid; nothing is run.
     """
     within("seed", seed, 0, 2**63, "")
     within("trials", trials, 2, 1_000_000, "")
@@ -159,7 +159,7 @@ def run_design_search(
     for name, frame in (("trials", table), ("front", front), ("sensitivity", influence)):
         write_atomically(output / f"{name}.csv", frame.assign(**column).to_csv(index=False, float_format="%.6g"))
     write_atomically(output / "found.toml", best_of(front, problem.config).to_toml())
-    names = [name for name in problem.probes for _ in problem.reference_feeds()]  # of the first trials
+    names = [name for name in problem.probes for _ in problem.reference_feeds()]  # the first trials
     references = table.iloc[: len(names)].assign(design=names[: len(table)])
     _draw_front(table, references, output / "front.png", problem.tube.title)
     setting: dict[str, Any] = {"contexts": len(problem.contexts), "trials": len(table), "seed": seed} | column
@@ -171,10 +171,10 @@ def run_design_search(
 
 
 def best_of(front: pd.DataFrame, config: TaskConfig) -> Design:
-    """The design of the front with the best reward by the task's weights, among those that keep some drive."""
+    """The design of the front with the best reward of the task, among those with a positive drive margin."""
     span = segment_of(config).span
 
-    def reward(row: dict[str, float]) -> float:  # of the span; air of a given schedule is the same for all
+    def reward(row: dict[str, float]) -> float:  # over the span; the air of a fixed schedule is equal for all designs
         seconds = row["inspection_time_s"]
         squares, air = span * row["mean_square_ratio"], seconds * row.get("air_supply_rate", 0.0)
         return float(sum(reward_terms(config, span - row["guide_length"], squares, seconds, air).values()))
@@ -199,7 +199,7 @@ def _print(front: pd.DataFrame, influence: pd.DataFrame, problem: DesignProblem)
 def _draw_front(table: pd.DataFrame, references: pd.DataFrame, path: Path, tube: str = "") -> None:
     figure, axes = plt.subplots(1, 2, figsize=(11, 4.5), sharey=True, layout="constrained")
     labels = {"inspection_time_s": "inspection time [s]", "drive_margin_n": "drive margin [N]"}
-    if np.ptp(table["inspection_time_s"].quantile([0.1, 0.9])) < 1.0:  # a given feed: all take the same time
+    if np.ptp(table["inspection_time_s"].quantile([0.1, 0.9])) < 1.0:  # fixed feed: all take the same time
         labels = {"guide_length": "guide length [m]", "drive_margin_n": "drive margin [N]"}
     for axis, (column, label) in zip(axes, labels.items(), strict=True):
         for on_front, colour, size, name in ((False, "0.8", 10, "tried"), (True, BLUE, 28, "on the front")):

@@ -1,4 +1,4 @@
-"""How probe designs are tried, by a comparison and by a search."""
+"""Trials of probe designs, for comparisons and searches."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ TUBE_FILE: Final = "tube.json"
 
 
 class Tube(Stored):
-    """``tube.json``: the plant that the trials in a folder are of."""
+    """``tube.json``: the plant of the trials in a folder."""
 
     name: str
     digest: str
@@ -37,16 +37,16 @@ class Tube(Stored):
 
 @dataclass(frozen=True)
 class DesignTrials:
-    """How designs are tried: tubes, feed, task and fidelity.
+    """Settings of trials: tubes, feed, task and fidelity.
 
     Attributes:
         contexts: tubes.
-        feed: a policy by its spec; for sections it must be a schedule over inserted length.
-        full: whole insertions instead of sections of constant length.
-        fidelity: of the simulation, resolved for the scene.
-        config: the task, with the scene that designs and contexts change.
-        vibration: the map that some policies look things up in; default: the shipped one.
-        tube: what the plant is called.
+        feed: policy spec; for sections a schedule over inserted length.
+        full: simulate whole insertions instead of sections of constant length.
+        fidelity: simulation settings, resolved for the scene.
+        config: task; designs and contexts replace parts of its scene.
+        vibration: vibration map of policies; default: the shipped one.
+        tube: name of the plant.
     """
 
     contexts: Sequence[Context]
@@ -58,42 +58,42 @@ class DesignTrials:
     tube: Named = TABLE_2
 
     def policy(self) -> Policy:
-        """The feed as a policy.
+        """Make the policy of ``feed``.
 
         Raises:
-            ValueError: there is no such policy.
+            ValueError: no such policy.
         """
         return make_policy(self.feed, self.config, self.vibration)
 
     def schedule(self) -> Schedule:
-        """The feed as a schedule.
+        """Make the schedule of ``feed``.
 
         Raises:
-            ValueError: it is none over inserted length.
+            ValueError: it is not a schedule over inserted length.
         """
         policy = self.policy()
         if self.feed == "constant":
             return Schedule("inserted_length", "linear", (5.0,), (0.2,), (63.0 / 3600.0,))
         if not isinstance(policy, Scheduled) or policy.schedule.over != "inserted_length":
             raise ValueError(
-                f"feed = {self.feed!r} is not a schedule over inserted length: give --full for policies and agents"
+                f"feed = {self.feed!r} is not a schedule over inserted length: use --full for policies and agents"
             )
         return policy.schedule
 
     def key(self, design: Design, context: Context, index: int = 0) -> str:
-        """Identity of one result; the index of the context seeds the start."""
+        """Identity of one result; the index of the context is the seed of its initial state."""
         parts = [index, design.built.model_dump(), context.model_dump(), self.policy().describe()]
         return self._hashed(parts)[:16]
 
     def _hashed(self, parts: Sequence[Any]) -> str:
-        """Hash of some parts and all that is common to all trials."""
+        """Hash of ``parts`` and the settings of all trials."""
         common = [self.full, self.fidelity.model_dump(), self.config.model_dump(mode="json")]
         text = json.dumps([*parts, *common, version("probe-env"), commit()], sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
 
     @property
     def setting(self) -> dict[str, Any]:
-        """What a manifest says of the trials."""
+        """Settings for the manifest."""
         return {"feed": self.feed, "full": self.full, "fidelity": self.fidelity.model_dump()}
 
     def run(
@@ -103,13 +103,13 @@ class DesignTrials:
         threads: int | None = None,
         feed: Schedule | None = None,
     ) -> list[dict[str, float]]:
-        """KPIs and reward of some pairs, in one batch; ``feed``: another schedule."""
+        """KPIs and reward of (design, tube) pairs, simulated in one batch; ``feed`` replaces the schedule."""
         candidates = [
             Candidate(design, context, feed or (self.policy() if self.full else self.schedule()), seed)
             for (design, context), seed in zip(pairs, seeds, strict=True)
         ]
-        tried = try_insertions if self.full else try_sections
-        trial = tried(candidates, self.config, self.fidelity, threads=threads)
+        simulate = try_insertions if self.full else try_sections
+        trial = simulate(candidates, self.config, self.fidelity, threads=threads)
         terms, kpis = score_designs([design for design, _ in pairs], trial, self.config)
         rewards = np.sum(list(terms.values()), axis=0)
         return [
@@ -119,16 +119,16 @@ class DesignTrials:
 
 
 def claim(output: Path, tube: Named) -> None:
-    """Write down which plant the trials in a folder are of; a folder with trials that does not say is of table 2.
+    """Store the plant of the trials in a folder; a folder of trials without ``tube.json`` is of table 2.
 
     Raises:
-        ValueError: it holds trials of another plant; nothing is changed.
+        ValueError: the folder has trials of another plant; nothing is changed.
     """
     path = output / TUBE_FILE
     before = read_json(path, Tube) if path.exists() else Tube(name=TABLE_2.name, digest=TABLE_2.digest)
     in_use = path.exists() or any((output / name).exists() for name in ("designs.jsonl", JOURNAL, "trials.csv"))
     if in_use and before.digest != tube.digest:
-        other = "" if before.name != tube.name else ", as its file was then"
+        other = "" if before.name != tube.name else " before its file changed"
         problem = f"holds trials in the tubes of {before.name}{other}, not of {tube.name}: choose another folder"
         raise ValueError(f"output = {str(output)!r} {problem}")
     if tube != TABLE_2:

@@ -27,9 +27,9 @@ from agents.evaluation.statistics import (
 )
 from agents.evaluation.workers import HERE, Workers
 from agents.policies.cases import EvaluationCase, load_case
-from agents.policies.catalogue import domains_of, named_policies, own_policies
+from agents.policies.catalogue import domains_of, named_policies, user_policies
 from agents.policies.policy import check_domains
-from agents.policies.wrappers import BothWays
+from agents.policies.wrappers import RoundTripPolicy
 from agents.records.manifest import write_json
 from agents.terminal.tables import print_table
 from probe_env.envs.contexts import Split
@@ -80,7 +80,7 @@ def evaluate(
     plan = plan_of(policies, case, seeds, fidelity, probes, strict)
     if output is None:
         return run_plan(plan, None, workers=workers)
-    return evaluate_plan(plan, output, against, workers, own_policies(policies))
+    return evaluate_plan(plan, output, against, workers, user_policies(policies))
 
 
 def plan_of(
@@ -100,8 +100,8 @@ def plan_of(
         raise ValueError(f"seeds = {seeds!r} is outside the accepted range 1 to 1000")
     config = case.config.full_observation
     policies = named_policies(specs, config, case.vibration, classes=True)
-    forth = {name: policy.forth if isinstance(policy, BothWays) else policy for name, policy in policies.items()}
-    check_domains(domains_of(specs, forth), config, case.contexts, strict)
+    inner = {name: p.insertion if isinstance(p, RoundTripPolicy) else p for name, p in policies.items()}
+    check_domains(domains_of(specs, inner), config, case.contexts, strict)
     hardest = EpisodeSampler(config, case.contexts, probes, *settling(config, {})).stiffest
     chosen = resolve_fidelity(fidelity, hardest, config.growing, config.returns)
     plan = Plan(policies, case.contexts, range(seeds), config, chosen, probes, case.vibration)

@@ -1,4 +1,4 @@
-"""Calibration of a plant from its logs: ``calibration.json``, tables, pictures, and whether the model fits."""
+"""Calibration of a plant from its logs: ``calibration.json``, tables, figures and a check of the fit."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from agents.plant.inference import (
     Gain,
     Posterior,
     Sliding,
-    by_sliding,
-    gain_of,
-    sampled,
+    fit_gain,
+    fit_sliding,
+    sample_posterior,
 )
 from agents.plant.logs import read_log
 from agents.plant.prior import UNKNOWNS, Prior, prior_of
@@ -30,9 +30,9 @@ from probe_env import Plant
 from probe_env.settings import within
 
 LEVEL: Final = 0.90
-"""Of the intervals."""
+"""Probability of the intervals."""
 AT_EDGE: Final = 0.06, 0.5
-"""A posterior leans against an edge if more than the second share of it is within the first share of the range."""
+"""A posterior is at its bound if more than the second share of it is within the first share of the range."""
 LABELS: Final = (
     ("root tension [N]", 1.0),
     ("radial acceleration rms [m/s²]", 1.0),
@@ -40,7 +40,7 @@ LABELS: Final = (
     ("radial rms by the noise [mm]", 1e3),
 )
 """Label of each channel in a picture, and its scale."""
-DRAWN: Final = 64
+BAND_DRAWS: Final = 64
 """Draws in a picture of bands."""
 
 
@@ -51,7 +51,7 @@ class Calibration:
     prior: Prior
     posterior: Posterior
     sliding: dict[str, Sliding | None]  # tube -> estimate from the tension alone; None without a tension
-    beyond: list[str]  # what of the logs is outside the training ranges of the response
+    outside: list[str]  # quantities of the logs outside the training ranges of the response, as texts
     gains: list[Gain | None]  # of the tension gauge, per log; None without a tension
 
     @property
@@ -60,7 +60,7 @@ class Calibration:
         return self.posterior.likelihood.cases
 
     def summary(self, name: str, tube: int | None = None) -> dict[str, float]:
-        """Mean and 90 % interval of an unknown, of one tube or over all of them."""
+        """Mean and 90 % interval of an unknown, of one tube or over all tubes."""
         column = list(UNKNOWNS).index(name)
         draws = self.posterior.draws[:, :, column] if tube is None else self.posterior.draws[tube, :, column]
         low, high = np.quantile(draws, [(1.0 - LEVEL) / 2.0, (1.0 + LEVEL) / 2.0])
@@ -68,56 +68,56 @@ class Calibration:
 
     @property
     def misfits(self) -> list[str]:
-        """Why the model cannot have produced these logs, one text each; empty where it can."""
+        """Reasons why the model cannot have produced these logs, as texts; empty if it can."""
         reasons, limits = [], self.posterior.likelihood.response.misfit
         for case, misfit, gauge in zip(self.cases, self.posterior.misfit, self.gains, strict=True):
             if gauge and gauge.ratio > LIMIT:
                 reasons.append(
-                    f"{case.name}: root tension fits the rest and what was held possible only if the gauge reads"
-                    f" {gauge.gain:.2f} times what it should (twice the log of the likelihoods' ratio is"
-                    f" {gauge.ratio:.1f}, one log in thirty: {LIMIT:g})"
+                    f"{case.name}: the root tension looks {abs(gauge.gain - 1.0):.0%} too"
+                    f" {'high' if gauge.gain > 1.0 else 'low'}: check the load cell's scale"
+                    f" (2 log likelihood ratio {gauge.ratio:.1f}, limit {LIMIT:g})"
                 )
             for k, name in enumerate((*CHANNELS, "all channels together")):
                 if misfit[k] > limits[k]:
                     reasons.append(
-                        f"{case.name}: {name.replace('_', ' ')} strays {np.sqrt(misfit[k]):.1f} times as far from the"
-                        f" model as simulated logs do (one in a hundred: {np.sqrt(limits[k]):.1f})"
+                        f"{case.name}: {name.replace('_', ' ')} deviates by {np.sqrt(misfit[k]):.1f} standard"
+                        f" deviations (rms) from the model; 99 % of simulated logs are below {np.sqrt(limits[k]):.1f}"
                     )
         return reasons
 
     @property
-    def leaning(self) -> list[str]:
-        """Unknowns whose posterior lies at an edge of the prior, one text each."""
+    def at_bounds(self) -> list[str]:
+        """Unknowns whose posterior is at a bound of the prior, as texts."""
         texts, (width, share) = [], AT_EDGE
         for column, name in enumerate(UNKNOWNS):
-            if name in self.prior.known:
+            if name in self.prior.fixed:
                 continue
             low, high = self.prior.ranges[name]
             at = (self.posterior.draws[:, :, column] - low) / (high - low)
-            for side, near in (("least", at < width), ("greatest", at > 1.0 - width)):
+            for side, near in (("lower", at < width), ("upper", at > 1.0 - width)):
                 if near.mean() > share:
-                    texts.append(f"{UNKNOWNS[name].text} leans against the {side} value held possible")
+                    texts.append(f"{UNKNOWNS[name].text} is at its {side} bound")
         return texts
 
     @property
     def verdict(self) -> str:
         """Whether the model fits the logs."""
         if self.misfits:
-            return "misspecified: the model cannot have made these logs, whatever friction - do not use the figures"
-        if self.leaning:
-            return "doubtful: the logs are best explained at an edge of what was held possible"
-        return "the logs are what the model gives with these figures"
+            return "misspecified: the model does not fit these logs at any friction - do not use these estimates"
+        if self.at_bounds:
+            return "doubtful: an estimate is at the bound of its range"
+        return "model and log agree"
 
     def to_json(self) -> dict[str, Any]:
         """``calibration.json``: estimates, draws, verdict."""
         draws = self.posterior.draws
         rows = np.arange(draws.shape[1])
-        turns = rows % len(draws)  # over all tubes: each in turn
+        turns = rows % len(draws)  # over all tubes: draws of each in turn
         return {
             **{name: self.summary(name) | {"unit": UNKNOWNS[name].unit} for name in UNKNOWNS},
             "verdict": self.verdict,
             "misspecified": bool(self.misfits),
-            "reasons": [*self.misfits, *self.leaning, *self.beyond],
+            "reasons": [*self.misfits, *self.at_bounds, *self.outside],
             "tubes": {
                 tube: {
                     "friction": self.summary("friction", k),
@@ -129,27 +129,27 @@ class Calibration:
                 for k, (tube, fit) in enumerate(self.sliding.items())
             },
             "held_possible": {name: list(range_) for name, range_ in self.prior.ranges.items()},
-            "known": self.prior.known,
+            "known": self.prior.fixed,
             "draws": {
                 name: [float(f"{v:.6g}") for v in draws[turns, rows, column]]
                 for column, name in enumerate(UNKNOWNS)
-                if name not in self.prior.known
+                if name not in self.prior.fixed
             },
         }
 
 
-def recorded_of(
+def read_cases(
     paths: Sequence[Path], plant: Plant, helix_diameters: Sequence[float], tubes: Sequence[str], columns: Sequence[str]
 ) -> list[Case]:
-    """The logs with their tubes; all arguments are checked before the first log is read.
+    """Read the logs and assign their tubes; all arguments are checked before the first log is read.
 
     Raises:
         FileNotFoundError: no such file.
-        ValueError: a log that cannot be read; a number of diameters or names that differs from that of the logs;
-            diameters that are not the plant's.
+        ValueError: a log cannot be read; the number of diameters or names differs from that of the logs; a diameter is
+            not one of the plant's.
     """
     if not paths:
-        raise ValueError("logs: give one log at least")
+        raise ValueError("logs: at least one is needed")
     diameters = list(helix_diameters) or list(plant.diameters)
     if len(diameters) == 1:
         diameters *= len(paths)
@@ -159,8 +159,8 @@ def recorded_of(
         raise ValueError(f"{what}: {len(diameters)} for {len(paths)} logs: {hint}")
     for diameter in diameters:
         within("helix_diameter", diameter, 0.3, 1e4, "m")
-        if len(plant.diameters) > 1 and not any(abs(diameter - known) < 1e-6 for known in plant.diameters):
-            listed = ", ".join(f"{known:g}" for known in plant.diameters)
+        if len(plant.diameters) > 1 and not any(abs(diameter - other) < 1e-6 for other in plant.diameters):
+            listed = ", ".join(f"{other:g}" for other in plant.diameters)
             raise ValueError(f"--helix-diameters: {diameter:g} m is none of the plant's: {listed} m")
     names = list(tubes) or [f"{diameter:g} m" for diameter in diameters]
     if len(names) != len(paths):
@@ -174,8 +174,7 @@ def recorded_of(
             raise ValueError(f"--tubes: {name!r} has helix diameters of {listed} m: a tube has one")
     files = [file_or_shipped("logs", path) for path in paths]
     labels = [name_of(file) for file in files]
-    if len(set(labels)) < len(labels):
-        labels = [str(path) for path in paths]
+    labels = labels if len(set(labels)) == len(labels) else [str(path) for path in paths]
     cases = []
     for label, file, tube, diameter in zip(labels, files, names, diameters, strict=True):
         scene = plant.scene.model_copy(update={"tube": {"helix_diameter": diameter}})
@@ -192,15 +191,15 @@ def calibrate(
         ValueError: a log has too few metres or no channel, or a value of the plant is outside the training ranges.
     """
     prior = prior_of(plant, file)
-    posterior = sampled(response, cases, prior, progress=progress)
-    beyond = [f"{c.name}: {text}" for c in cases for text in response.outside(c.metres, c.scene)]
-    sliding = {tube: by_sliding([c for c in cases if c.tube == tube], prior) for tube in posterior.likelihood.tubes}
-    gains = [gain_of(posterior.likelihood, number, prior) for number in range(len(cases))]
-    return Calibration(prior, posterior, sliding, beyond, gains)
+    posterior = sample_posterior(response, cases, prior, progress=progress)
+    outside = [f"{c.name}: {text}" for c in cases for text in response.outside(c.metres, c.scene)]
+    sliding = {tube: fit_sliding([c for c in cases if c.tube == tube], prior) for tube in posterior.likelihood.tubes}
+    gains = [fit_gain(posterior.likelihood, number, prior) for number in range(len(cases))]
+    return Calibration(prior, posterior, sliding, outside, gains)
 
 
-def print_calibration(calibration: Calibration, own: bool = True) -> None:
-    """Print estimates, intervals and the verdict; ``own``: whether a file describes the tubes."""
+def print_calibration(calibration: Calibration, with_file: bool = True) -> None:
+    """Print estimates, intervals and the verdict; ``with_file``: whether a file describes the tubes."""
     prior = calibration.prior
     estimates: list[tuple[str, Sequence[float], str]] = []
     for k, (tube, sliding) in enumerate(calibration.sliding.items()):
@@ -212,9 +211,9 @@ def print_calibration(calibration: Calibration, own: bool = True) -> None:
         if name in prior.quantile and name != "friction":
             estimates.append((unknown.text, [*calibration.summary(name).values()], unknown.unit))
     rows = [(text, *(f"{value:.4g}" for value in values), unit) for text, values, unit in estimates]
-    print_table("What the logs tell: means with 90 % intervals", ("", "mean", "low", "high", "unit"), rows, left=1)
+    print_table("Estimates: means with 90 % intervals", ("", "mean", "low", "high", "unit"), rows, left=1)
     logs = (
-        f"{case.name}: {len(case.metres)} metres, {', '.join(name.replace('_', ' ') for name in case.metres.felt)}"
+        f"{case.name}: {len(case.metres)} metres, {', '.join(name.replace('_', ' ') for name in case.metres.measured)}"
         for case in calibration.cases
     )
     geometry = dict.fromkeys(
@@ -222,32 +221,31 @@ def print_calibration(calibration: Calibration, own: bool = True) -> None:
         f" {1e3 * case.scene.probe.carrier_float_diameter:g} mm"
         for case in calibration.cases
     )
-    terms = {"logs": "; ".join(logs), "taken for": "; ".join(geometry)}
-    if not own:
-        hint = "a --tube says what yours are; another bore or helix tells another friction"
-        terms["taken for"] += f". That is table 2's: {hint}"
+    terms = {"logs": "; ".join(logs), "geometry": "; ".join(geometry)}
+    if not with_file:
+        terms["geometry"] += ". This is table 2 of the study: give yours by --tube, since friction depends on it"
     if prior.assumed:
-        terms["assumed"] = "held possible, for the file says nothing of it: " + "; ".join(prior.assumed)
-    if prior.known:
-        known = (f"{UNKNOWNS[name].text} {value:g} {UNKNOWNS[name].unit}" for name, value in prior.known.items())
-        terms["known"] = "by the file: " + "; ".join(text.strip() for text in known)
+        terms["assumed"] = "not in the tube file: " + "; ".join(prior.assumed)
+    if prior.fixed:
+        fixed = (f"{UNKNOWNS[name].text} {value:g} {UNKNOWNS[name].unit}" for name, value in prior.fixed.items())
+        terms["fixed"] = "in the tube file: " + "; ".join(text.strip() for text in fixed)
     print_terms(terms)
-    for text in calibration.beyond:
-        print_terms({"note": f"beyond what the response was learnt from: {text}"})
-    for text in (*calibration.misfits, *calibration.leaning):
+    for text in calibration.outside:
+        print_terms({"note": f"outside the training range of the response: {text}"})
+    for text in (*calibration.misfits, *calibration.at_bounds):
         print_terms({"note": text})
     print_terms({"verdict": calibration.verdict})
 
 
 def draw_corner(calibration: Calibration, path: Path) -> Path:
-    """Corner plot of the draws of every tube's friction and of the shared unknowns."""
+    """Draw a corner plot of the friction of every tube and the shared unknowns."""
     import corner
 
     from agents.records.drawing import BLUE, plain, save
 
     draws, columns, labels = calibration.posterior.draws, [], []
     for column, name in enumerate(UNKNOWNS):
-        if name in calibration.prior.known:
+        if name in calibration.prior.fixed:
             continue
         several = name == "friction" and len(draws) > 1
         for k, tube in enumerate(calibration.sliding if several else ("",)):
@@ -266,21 +264,21 @@ def draw_corner(calibration: Calibration, path: Path) -> Path:
 
 
 def draw_bands(calibration: Calibration, path: Path) -> Path:
-    """Every channel of every log over length, with the predicted 90 % band."""
+    """Draw every channel of every log over length, with the predicted 90 % band."""
     from matplotlib.figure import Figure
 
     from agents.records.drawing import BLUE, GREY, GRID, plain, save
 
     likelihood, cases = calibration.posterior.likelihood, calibration.cases
-    present = [name for name in CHANNELS if any(name in case.metres.felt for case in cases)]
+    present = [name for name in CHANNELS if any(name in case.metres.measured for case in cases)]
     figure = Figure(figsize=(4.6 * len(cases) + 1.0, 2.1 * len(present) + 0.6), layout="constrained")
     axes = figure.subplots(len(present), len(cases), squeeze=False, sharex="col", sharey="row")
     rng = np.random.default_rng(0)
     for number, case in enumerate(cases):
         draws = calibration.posterior.draws[likelihood.tube_indices[number]]
-        table = draws[rng.choice(len(draws), min(DRAWN, len(draws)), replace=False)]
-        strays, spread = likelihood.strays(number, table)
-        mean = likelihood.observed[number] - strays * spread
+        table = draws[rng.choice(len(draws), min(BAND_DRAWS, len(draws)), replace=False)]
+        deviations, spread = likelihood.deviations(number, table)
+        mean = likelihood.observed[number] - deviations * spread
         sample = 10.0 ** (mean + spread * rng.normal(size=mean.shape))
         low, middle, high = np.quantile(sample, [0.05, 0.5, 0.95], axis=0)
         names = [CHANNELS[k] for k in likelihood.chosen[number]]
@@ -294,7 +292,7 @@ def draw_bands(calibration: Calibration, path: Path) -> Path:
             column, x = names.index(name), case.metres.length
             axis.fill_between(x, scale * low[:, column], scale * high[:, column], color=BLUE, alpha=0.2, linewidth=0)
             axis.plot(x, scale * middle[:, column], color=BLUE, linewidth=1.0, label="expected, with 90 %")
-            axis.plot(x, scale * case.metres.felt[name], ".", color="black", markersize=3.0, label="log")
+            axis.plot(x, scale * case.metres.measured[name], ".", color="black", markersize=3.0, label="log")
             if name != "root_tension":
                 axis.set_yscale("log")
         axes[0][number].set_title(plain(case.name), fontsize=9, color=GREY)

@@ -1,4 +1,4 @@
-"""Repairs of a recorded log, each with a bound and counted, and thinning to fewer rows."""
+"""Repairs of a recorded log, which are bounded and counted, and thinning to fewer rows."""
 
 from __future__ import annotations
 
@@ -15,27 +15,27 @@ from probe_env.settings import within
 
 Band = tuple[FloatArray, FloatArray]
 DIGITS: Final = 6
-"""Decimals of seconds and metres that are written."""
+"""Decimals of seconds and metres in the clean file."""
 USUAL_SPACING: Final = 2.5
-"""A gap in time is a step longer than this many median steps."""
+"""Shortest gap in time, in units of the median time step."""
 AGREEMENT: Final = 0.05, 0.02
 """Accepted difference of the integrated speed from the encoder [m], and as a share of the length."""
 STANDSTILL: Final = 2e-3
-"""Speed below which a probe stands still [m/s]: a tenth of the slowest feed of the task."""
+"""Speed below which the probe is at a standstill [m/s]: a tenth of the slowest feed of the task."""
 DWELL: Final = 1.0
 """Duration of the shortest standstill [s]."""
 ROUNDS: Final = 12
-"""Rounds of the search for the worst rows; later rounds also halve the intervals, so that it ends."""
+"""Rounds of the search for the worst rows; later rounds also halve the intervals, so that the search ends."""
 
 
 @dataclass(frozen=True)
 class Bounds:
     """Limits of the repairs; a log beyond them is refused."""
 
-    gap: float = 5.0  # in time, bridged by straight lines [s]
-    backward: float = 0.02  # motion of the encoder backwards that is taken for noise [m]
-    start_length: float = 5.0  # inserted at the beginning of a log without an encoder [m]
-    tolerance: float = 1e-3  # of the inserted length after thinning [m]
+    gap: float = 5.0  # in time, interpolated [s]
+    backward: float = 0.02  # backward motion of the encoder that counts as noise [m]
+    start_length: float = 5.0  # inserted length at the start of a log without an encoder [m]
+    tolerance: float = 1e-3  # error of the inserted length after thinning [m]
     every: float = 1.0  # longest time between rows of the clean log [s]
 
     def __post_init__(self) -> None:
@@ -54,21 +54,21 @@ class Repairs:
     """Counts of repairs."""
 
     rows: int  # of the file
-    untimed: int = 0  # rows without a time, left out
+    untimed: int = 0  # rows without a time, dropped
     duplicates: int = 0  # rows at the time of the row before, averaged with it
-    gaps: int = 0  # in time, bridged
+    gaps: int = 0  # in time, interpolated
     longest_gap: float = 0.0  # [s]
     missing: int = 0  # values, interpolated
-    backward: int = 0  # rows at which the encoder is behind an earlier row
+    backward: int = 0  # rows with a smaller encoder length than an earlier row
     most_backward: float = 0.0  # [m]
 
 
 @dataclass(frozen=True)
-class Cleaned:
-    """A log at its own rows.
+class CleanLog:
+    """A repaired log at its original rows.
 
-    ``band`` is the smallest length from each row on and the largest up to it: what the encoder's noise leaves open.
-    Both equal the length where it only rises.
+    ``band`` has the smallest length from each row on and the largest up to it, the range of the encoder's noise. Both
+    equal the length where it increases.
     """
 
     time: FloatArray  # (n,) seconds from the first, strictly rising
@@ -76,15 +76,15 @@ class Cleaned:
     band: Band  # (n,) each [m]
     values: dict[str, FloatArray]  # measured quantities and the air supply, (n,) [SI]
     repairs: Repairs
-    notes: tuple[str, ...]  # sentences about what does not agree
+    notes: tuple[str, ...]  # messages about contradictions in the log
     rows: IntArray  # (n,) index of the row of the table
 
 
-def cleaned(channels: Channels, bounds: Bounds) -> Cleaned:
-    """The log with everything repaired that is within the bounds.
+def clean(channels: Channels, bounds: Bounds) -> CleanLog:
+    """Repair a log within the bounds.
 
     Raises:
-        FileError: something is beyond them; names lines, column and value.
+        FileError: a repair is outside the bounds; names lines, column and value.
     """
     table = channels.table
     timed = np.flatnonzero(~np.isnan(channels.time))
@@ -109,30 +109,31 @@ def cleaned(channels: Channels, bounds: Bounds) -> Cleaned:
             excess = np.abs(fed - by_encoder) - (absolute + relative * np.abs(by_encoder))
             if excess[k := int(excess.argmax())] > 0.0:
                 notes = (
-                    f"The speed column and the encoder disagree: {fed[k]:.4g} m and {by_encoder[k]:.4g} m are fed up to"
-                    f" {time[k]:.4g} s, more than {absolute:g} m and {100 * relative:g} % apart; the encoder is taken.",
+                    f"The speed column and the encoder disagree: {fed[k]:.4g} m and {by_encoder[k]:.4g} m up to"
+                    f" {time[k]:.4g} s differ by more than {absolute:g} m and {100 * relative:g} %;"
+                    " the encoder is used.",
                 )
-    assert length is not None  # one of both is there
+    assert length is not None  # the log has one of both
     high = np.maximum.accumulate(length)
-    behind, most = high - length, POSITIONS["inserted_length_m"][1]
-    if (back := behind > bounds.backward).any():
-        row = int(back.argmax())
+    backward, most = high - length, POSITIONS["inserted_length_m"][1]
+    if (moving_back := backward > bounds.backward).any():
+        row = int(moving_back.argmax())
         problem = (
             f"the probe moves back to {length[row]:.6g} m from {high[row]:.6g} m, more than the {bounds.backward:g} m"
         )
-        hint = "that are taken for noise - a log is of the way in: cut the file there, or --backward"
+        hint = "that count as noise - a log must be of an insertion: cut the file there, or raise --backward"
         name = "feed_speed" if encoder is None else "inserted_length"
         raise table.error(rows[row], f"{problem} {hint}", channels.indices[name])
     if length.max() > most:
         raise table.error(rows[int(length.argmax())], f"a length of {length.max():.6g} m is more than {most:g} m")
     low = np.minimum.accumulate(length[::-1])[::-1]
-    repairs.backward, repairs.most_backward = int((behind > 0.0).sum()), float(behind.max())
-    rising = np.where(low == high, length, 0.5 * (low + high))  # neither early nor late
-    return Cleaned(time, rising, (low, high), values, repairs, notes, rows)
+    repairs.backward, repairs.most_backward = int((backward > 0.0).sum()), float(backward.max())
+    rising = np.where(low == high, length, 0.5 * (low + high))  # the middle of the band
+    return CleanLog(time, rising, (low, high), values, repairs, notes, rows)
 
 
 def _merged(channels: Channels, rows: IntArray) -> tuple[FloatArray, dict[str, FloatArray], IntArray]:
-    """Time from 0, values averaged over rows of one time, and the first row of each; of the rows with a time."""
+    """Time from 0, values averaged over rows of equal time, and the first row of each, for the rows with a time."""
     table, k = channels.table, channels.indices["time"]
     if len(rows) < 2:
         raise table.error(0, f"{len(rows)} rows have a time: at least two are needed", k)
@@ -146,53 +147,53 @@ def _merged(channels: Channels, rows: IntArray) -> tuple[FloatArray, dict[str, F
     if time[-1] == 0.0:
         raise table.error(rows[-1], "the time never changes: is this the column of time?", k)
     if time[-1] > most:
-        problem = f"{time[-1]:.6g} s are more than the {most:g} s of a log: cut it, or is the unit of time right?"
+        problem = f"{time[-1]:.6g} s are more than {most:g} s: cut the log, or check the unit of time"
         raise table.error(rows[-1], problem, k)
     first = np.flatnonzero(np.diff(time, prepend=-1.0) > 0.0)
-    means = {n: portion_means(v[rows], first, QUANTITIES[n].rms) for n, v in channels.values.items()}
+    means = {n: group_means(v[rows], first, QUANTITIES[n].rms) for n, v in channels.values.items()}
     return time[first], means, rows[first]
 
 
-def portion_means(values: FloatArray, first: IntArray, rms: bool) -> FloatArray:
-    """Means, or root mean squares, of portions that begin at the rows ``first``; NaN where all are missing."""
+def group_means(values: FloatArray, first: IntArray, rms: bool) -> FloatArray:
+    """Means, or root mean squares, of groups that begin at the rows ``first``; NaN if all values are missing."""
     if len(first) == len(values):
         return values
-    known = ~np.isnan(values)
-    powers = np.where(known, values**2 if rms else values, 0.0)
+    valid = ~np.isnan(values)
+    powers = np.where(valid, values**2 if rms else values, 0.0)
     with np.errstate(invalid="ignore"):
-        means = np.add.reduceat(powers, first) / np.add.reduceat(known.astype(float), first)
+        means = np.add.reduceat(powers, first) / np.add.reduceat(valid.astype(float), first)
     return np.asarray(np.sqrt(means) if rms else means)
 
 
-def _check_gaps(table: Table, rows: IntArray, lasting: FloatArray, problem: str, gap: float) -> None:
-    """Refuse what lasts longer than ``gap`` [s] between one of the rows (n,) and the next."""
-    if lasting.max() > gap:
-        k = int(lasting.argmax())
-        problem = f"{problem} for {lasting[k]:.6g} s, more than the {gap:g} s that are bridged"
-        raise table.error_between(rows[k], rows[k + 1], f"{problem} - cut the file there, or --gap")
+def _check_gaps(table: Table, rows: IntArray, duration: FloatArray, problem: str, gap: float) -> None:
+    """Raise FileError for a duration (n - 1,) longer than ``gap`` [s] between rows (n,)."""
+    if duration.max() > gap:
+        k = int(duration.argmax())
+        problem = f"{problem} for {duration[k]:.6g} s, more than the {gap:g} s that are interpolated"
+        raise table.error_between(rows[k], rows[k + 1], f"{problem} - cut the file there, or raise --gap")
 
 
 def _bridged(
     channels: Channels, name: str, time: FloatArray, column: FloatArray, rows: IntArray, gap: float
 ) -> FloatArray:
-    """A column (n,) with missing values on straight lines, or like the nearest at its ends."""
-    known = np.flatnonzero(~np.isnan(column))
-    if len(known) == len(column):
+    """A column (n,) with missing values interpolated, at its ends by the nearest value."""
+    valid = np.flatnonzero(~np.isnan(column))
+    if len(valid) == len(column):
         return column
     table, k = channels.table, channels.indices[name]
-    if not len(known):
+    if not len(valid):
         raise table.error(0, "no value in the whole column", k)
-    edges = np.concatenate([[0], known, [len(column) - 1]])
-    lasting = np.where(np.diff(edges) > 1, np.diff(time[edges]), 0.0)
-    _check_gaps(table, rows[edges], lasting, f"column {table.heads[k]!r} has no values", gap)
-    return np.asarray(np.interp(time, time[known], column[known]))
+    edges = np.concatenate([[0], valid, [len(column) - 1]])
+    duration = np.where(np.diff(edges) > 1, np.diff(time[edges]), 0.0)
+    _check_gaps(table, rows[edges], duration, f"column {table.heads[k]!r} has no values", gap)
+    return np.asarray(np.interp(time, time[valid], column[valid]))
 
 
-def held(time: FloatArray, length: FloatArray, band: Band, tolerance: float) -> tuple[FloatArray, IntArray]:
-    """The length (n,) with standstills made constant, never falling, and the first and last rows of standstills.
+def standstills_of(time: FloatArray, length: FloatArray, band: Band, tolerance: float) -> tuple[FloatArray, IntArray]:
+    """The non-decreasing length (n,) with constant standstills, and the first and last rows of the standstills.
 
     In a standstill the probe moves slower than ``STANDSTILL`` for ``DWELL``, and for at least half of that time its
-    median position is possible within the band and the tolerance [m]; so slow creeping is no standstill.
+    median position is within the band and the tolerance [m]; so slow creep is no standstill.
     """
     low, high = band
     slow = (np.interp(time + DWELL, time, length) - length < STANDSTILL * DWELL) & (time + DWELL <= time[-1])
@@ -200,28 +201,28 @@ def held(time: FloatArray, length: FloatArray, band: Band, tolerance: float) -> 
     still, ends = length.copy(), [0]
     for first, end in zip(edges[::2], edges[1::2], strict=True):
         last = int(np.searchsorted(time, time[end - 1] + DWELL, side="right")) - 1
-        place = np.median(length[first : last + 1])
-        begin = first + int(np.searchsorted(high[first : last + 1], place - tolerance, side="left"))
-        until = first + int(np.searchsorted(low[first : last + 1], place + tolerance, side="right")) - 1
-        begin = max(begin, ends[-1])  # a standstill may begin within a second of the one before
+        median = np.median(length[first : last + 1])
+        begin = first + int(np.searchsorted(high[first : last + 1], median - tolerance, side="left"))
+        until = first + int(np.searchsorted(low[first : last + 1], median + tolerance, side="right")) - 1
+        begin = max(begin, ends[-1])  # a standstill may begin within a second of the previous one
         if time[until] - time[begin] >= max(DWELL, 0.5 * (time[last] - time[first])):
-            still[begin : until + 1] = max(place, still[begin - 1] if begin else place)
+            still[begin : until + 1] = max(median, still[begin - 1] if begin else median)
             ends += [begin, until]
     return np.maximum.accumulate(still), np.array(ends[1:], dtype=np.int64)
 
 
 def outside(time: FloatArray, rows: IntArray, length: FloatArray, band: Band) -> FloatArray:
-    """How far straight lines between the ``rows`` of a length (n,) are outside a band [m], (n,); 0 inside."""
+    """Distance (n,) of the linear interpolation between ``rows`` of a length (n,) from a band [m]; 0 inside."""
     line = np.interp(time, time[rows], length[rows])
     return np.asarray(np.maximum(0.0, np.maximum(line - band[1], band[0] - line)))
 
 
-def kept_rows(
+def thin_rows(
     time: FloatArray, length: FloatArray, band: Band, ends: IntArray, tolerance: float, every: float
 ) -> IntArray:
-    """Rows (m,) whose straight lines stay within ``tolerance`` [m] of the band, at most ``every`` [s] apart.
+    """Rows (m,) whose linear interpolation is within ``tolerance`` [m] of the band, at most ``every`` [s] apart.
 
-    ``ends``, the first and last rows of standstills, are kept. Rows of the file that are further apart stay so.
+    ``ends``, the first and last rows of standstills, are always included; rows of the file may be further apart.
     """
     regular, end = [0], len(time) - 1
     while regular[-1] < end:
@@ -234,9 +235,9 @@ def kept_rows(
         bad = worst > tolerance
         if not bad.any():
             break
-        places = np.flatnonzero(error > tolerance)
-        places = places[error[places] == worst[np.searchsorted(rows, places, side="right") - 1]]
-        more = [rows, places]
+        worst_rows = np.flatnonzero(error > tolerance)
+        worst_rows = worst_rows[error[worst_rows] == worst[np.searchsorted(rows, worst_rows, side="right") - 1]]
+        more = [rows, worst_rows]
         if number >= ROUNDS:
             more.append((rows[:-1][bad] + rows[1:][bad]) // 2)
         rows = np.unique(np.concatenate(more))

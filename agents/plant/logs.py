@@ -1,4 +1,4 @@
-"""Logs of inspection rigs: read, repaired and thinned to a clean file that every command takes as a schedule."""
+"""Logs of inspection rigs: read, repaired and thinned to a clean file that commands accept as a schedule."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from agents.plant.cleaning import DIGITS, DWELL, Bounds, Repairs, cleaned, held, kept_rows, outside, portion_means
+from agents.plant.cleaning import DIGITS, DWELL, Bounds, Repairs, clean, group_means, outside, standstills_of, thin_rows
 from agents.plant.quantities import HOUR, MEASURED, QUANTITIES, parse_columns
 from agents.plant.reader import IntArray, read_channels
 from agents.terminal.tables import print_table, print_terms
@@ -27,7 +27,7 @@ DWELLS_SHOWN: Final = 10
 
 
 class Dwell(NamedTuple):
-    """A standstill: when it begins [s], where [m] and how long it lasts [s]."""
+    """A standstill: start [s], inserted length [m] and duration [s]."""
 
     time: float
     inserted_length: float
@@ -36,17 +36,17 @@ class Dwell(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Log:
-    """Feed, air and measurements of a rig in SI units; every row holds until the next, the last one without end.
+    """Feed, air and measurements of a rig in SI units; each row is valid until the next one.
 
     Attributes:
-        time: (n,) seconds from the beginning, strictly rising.
-        inserted_length: (n,) at that time [m], never falling.
+        time: (n,) seconds from the start, strictly increasing.
+        inserted_length: (n,) at that time [m], non-decreasing.
         feed_speed: (n,) mean until the next row [m/s], 0 in standstills; its integral is the inserted length.
         air_supply_rate: (n,) mean until the next row [m3/s].
         measured: some of ``MEASURED`` -> (n,) mean or root mean square until the next row [SI].
-        repairs: counts of them.
-        notes: sentences about what does not agree.
-        deviation: largest distance of the straight lines from the band of lengths of ``Cleaned`` [m].
+        repairs: counts of the repairs.
+        notes: messages about contradictions in the log.
+        deviation: largest distance of the interpolated length from the band of ``CleanLog`` [m].
     """
 
     time: FloatArray
@@ -60,7 +60,7 @@ class Log:
 
     @property
     def dwells(self) -> tuple[Dwell, ...]:
-        """Standstills of a second and more."""
+        """Standstills of at least one second."""
         edges = np.flatnonzero(np.diff((self.feed_speed[:-1] == 0.0).astype(np.int8), prepend=0, append=0))
         standstills = (
             Dwell(float(self.time[a]), float(self.inserted_length[a]), float(self.time[b] - self.time[a]))
@@ -70,13 +70,13 @@ class Log:
 
     @property
     def channels(self) -> dict[str, FloatArray]:
-        """Quantity -> its column (n,) of the clean file, in that column's unit."""
+        """Quantity -> column (n,) of the clean file, in the unit of that column."""
         values = {"inserted_length": self.inserted_length, "feed_speed": self.feed_speed}
         values |= {"air_supply": self.air_supply_rate} | {n: self.measured[n] for n in MEASURED if n in self.measured}
         return {name: column / QUANTITIES[name].scale for name, column in values.items()}
 
     def to_csv(self) -> str:
-        """The log as CSV text, in the units that its columns name; ``Schedule.read`` and ``read_log`` take it."""
+        """CSV text in the units of the column names, for ``Schedule.read`` and ``read_log``."""
         columns = {"time": self.time, **self.channels, "air_supply": self.air_supply_rate * HOUR}
         digits = {"time": 12, "inserted_length": 10, "feed_speed": 9}
         lines = [f"{CSV_COMMENT} steps", ",".join(QUANTITIES[name].column for name in columns)]
@@ -97,16 +97,16 @@ def read_log(
     """Read the log of an inspection rig: text with any separator, or an Excel sheet.
 
     Args:
-        path: of the file.
-        columns: "HEAD=QUANTITY" or "HEAD=QUANTITY[UNIT]" for heads that are not known.
+        path: file.
+        columns: "HEAD=QUANTITY" or "HEAD=QUANTITY[UNIT]" for unknown headings.
         bounds: limits of repairs and thinning.
-        sheet: of a workbook; None: the first.
-        decimal: "point" or "comma", where the file leaves it open.
-        air_supply_rate: of a log without that column [m3/s].
+        sheet: sheet of a workbook; None: the first.
+        decimal: "point", "comma", or "auto": from the file.
+        air_supply_rate: air of a log without that column [m3/s].
 
     Raises:
         FileNotFoundError: no such file.
-        FileError: not a log that can be read or repaired; names line, column, value and what to do.
+        FileError: the log cannot be read or repaired; names line, column, value and remedy.
         ValueError: an argument is not valid.
         ModuleNotFoundError: pint or openpyxl is not installed (``probe-env[agents]``).
     """
@@ -116,30 +116,30 @@ def read_log(
     if air_supply_rate is not None:
         within("air_supply_rate", air_supply_rate, 0.0, RANGES[AIR][1] / HOUR, "m3/s")
     channels = read_channels(path, sheet, options, DECIMALS[decimal], air_supply_rate)
-    table, whole = channels.table, cleaned(channels, bounds)
-    share = 0.49 * bounds.tolerance  # for standing still, for straight lines, the rest for digits
+    table, whole = channels.table, clean(channels, bounds)
+    share = 0.49 * bounds.tolerance  # for standstills and for interpolation; the rest is for rounding
     rows: IntArray
-    if table.steps:  # it is clean already
+    if table.steps:  # already a clean file
         length, rows = whole.length.copy(), np.arange(len(whole.time))
     else:
-        length, ends = held(whole.time, whole.length, whole.band, share)
+        length, ends = standstills_of(whole.time, whole.length, whole.band, share)
         band = np.minimum(whole.band[0], length), np.maximum(whole.band[1], length)
-        rows = kept_rows(whole.time, length, band, ends, share, bounds.every)
+        rows = thin_rows(whole.time, length, band, ends, share, bounds.every)
     if len(rows) > MOST_POINTS:
-        raise FileError(table.path, f"{len(rows)} rows are left, more than {MOST_POINTS}: raise --every or --tolerance")
-    time, kept = whole.time[rows], np.round(length[rows], DIGITS)
-    speed = np.diff(kept) / np.diff(time)
+        raise FileError(table.path, f"{len(rows)} rows remain, more than {MOST_POINTS}: raise --every or --tolerance")
+    time, rounded = whole.time[rows], np.round(length[rows], DIGITS)
+    speed = np.diff(rounded) / np.diff(time)
     if speed.max() > RANGES[FEED][1]:
         k = int(speed.argmax())
-        problem = f"the inserted length leaps from {kept[k]:.6g} to {kept[k + 1]:.6g} m, at {speed[k]:.4g} m/s"
-        hint = f"no feed does more than {RANGES[FEED][1]:g} m/s - correct the file, or raise --tolerance"
+        problem = f"the inserted length jumps from {rounded[k]:.6g} to {rounded[k + 1]:.6g} m, at {speed[k]:.4g} m/s"
+        hint = f"the fastest feed is {RANGES[FEED][1]:g} m/s - correct the file, or raise --tolerance"
         first, last = whole.rows[rows[k : k + 2]]
-        raise table.error_between(first, last, f"{problem}, and {hint} for a noisy encoder")
-    values = {name: portion_means(column, rows, QUANTITIES[name].rms) for name, column in whole.values.items()}
-    length[rows] = kept
+        raise table.error_between(first, last, f"{problem}, but {hint} for a noisy encoder")
+    values = {name: group_means(column, rows, QUANTITIES[name].rms) for name, column in whole.values.items()}
+    length[rows] = rounded
     deviation = float(outside(whole.time, rows, length, whole.band).max())
     speed, air, measured = np.append(speed, speed[-1]), values.pop("air_supply"), MappingProxyType(values)
-    return Log(time, kept, speed, air, measured, whole.repairs, whole.notes, deviation)
+    return Log(time, rounded, speed, air, measured, whole.repairs, whole.notes, deviation)
 
 
 def print_log(log: Log, path: Path) -> None:
@@ -152,14 +152,14 @@ def print_log(log: Log, path: Path) -> None:
     print_table(one_line(path.name), ("channel", "unit", "least", "most"), rows, left=2)
     start, end = log.inserted_length[[0, -1]]
     terms = {
-        "rows": f"{repairs.rows}, of which {len(log.time)} are written",
+        "rows": f"{repairs.rows} in the log, {len(log.time)} in the clean file",
         "duration": f"{log.time[-1]:.6g} s",
         "length": f"{start:.4f} m to {end:.4f} m, within {1e3 * log.deviation:.2f} mm at every row",
-        "gaps": f"{repairs.gaps} bridged, the longest of {repairs.longest_gap:.3g} s",
+        "gaps": f"{repairs.gaps} interpolated, the longest {repairs.longest_gap:.3g} s",
         "missing": f"{repairs.missing} values interpolated",
-        "no time": f"{repairs.untimed} rows left out",
-        "duplicates": f"{repairs.duplicates} rows averaged with the one of the same time",
-        "backward": f"{repairs.backward} rows smoothed, by {1e3 * repairs.most_backward:.2g} mm at most",
+        "no time": f"{repairs.untimed} rows dropped",
+        "duplicates": f"{repairs.duplicates} rows averaged with the row of equal time",
+        "backward": f"{repairs.backward} rows smoothed, by at most {1e3 * repairs.most_backward:.2g} mm",
         "dwells": str(len(dwells)),
     }
     print_terms({name: "none" if text.split()[0] == "0" else text for name, text in terms.items()})
@@ -169,21 +169,23 @@ def print_log(log: Log, path: Path) -> None:
         print_table(title, ("at [m]", "from [s]", "lasting [s]"), rows_of_dwells[:DWELLS_SHOWN], left=0)
     for text in log.notes:
         print_terms({"note": text})
-    config, stops = TaskConfig(), "stops and starts below it, and falls behind above it"
+    config, stops = TaskConfig(), "alternates stops and starts below it, and lags above it"
     for name, values, (low, high), unit, scale, effect in (
         ("feed speed", log.feed_speed, config.feed_speeds, "m/s", 1.0, stops),
-        ("air supply", log.air_supply_rate, config.air_supply_rates, "m3/h", HOUR, "takes the nearest of these"),
+        ("air supply", log.air_supply_rate, config.air_supply_rates, "m3/h", HOUR, "clips it"),
     ):
         below, above = (values < low * (1.0 - 1e-6)).sum(), (values > high * (1.0 + 1e-6)).sum()
         if below or above:
-            text = f"The {name} leaves the task's range of {low * scale:g} to {high * scale:g} {unit}: {below} rows are"
+            text = (
+                f"The {name} is outside the task's range {low * scale:g} to {high * scale:g} {unit}: {below} rows are"
+            )
             print_terms({"note": f"{text} below and {above} above it. A replay {effect}."})
 
 
 def check_picture(path: Path) -> None:
-    """Raise ValueError if a file of this name cannot hold a picture."""
+    """Raise ValueError unless the file name ends with a supported figure format."""
     if path.suffix not in PICTURES:
-        raise ValueError(f"plot = {str(path)!r} is not a picture: it must end with one of {', '.join(PICTURES)}")
+        raise ValueError(f"plot = {str(path)!r} is not a figure: its name must end with one of {', '.join(PICTURES)}")
 
 
 def draw_log(log: Log, path: Path) -> Path:

@@ -1,4 +1,4 @@
-"""The feedback law for a PLC: IEC 61131-3 structured text, a table over friction and length, and its constants."""
+"""Feedback law for a PLC: IEC 61131-3 structured text, a table over friction and length, and its constants."""
 
 from __future__ import annotations
 
@@ -22,25 +22,26 @@ from probe_env.envs.vibration_map import stored_map
 TEMPLATE: Final = Path(__file__).parent / "data" / "feed-law.st.j2"
 TABLE_FRICTIONS: Final = tuple(round(0.08 + 0.02 * k, 2) for k in range(11))
 TABLE_STEP: Final = 2.5
-"""Between the lengths of a table [m]."""
+"""Step of the length in a table [m]."""
 DESCRIPTIONS: Final = {
     "average": ("s", "time constant of the averages of friction and noise"),
-    "onset_length": ("m", "slow with strong air from here on, at friction 0.175 and 1.5 m"),
-    "onset_friction": ("", "... times friction to the minus this"),
-    "onset_diameter": ("", "... times helix diameter to this"),
-    "slow_feed": ("m/s", "feed once past the onset, where 30 m are in, at friction 0.175 and 1.5 m"),
-    "slow_length": ("", "... times length to the minus this"),
-    "slow_friction": ("", "... times friction to the minus this"),
-    "slow_diameter": ("", "... times helix diameter to this"),
-    "quiet": ("m", "noise at which length counts as it is"),
-    "shift": ("", "... else with (noise / quiet) to this"),
-    "aim": ("m", "past the onset the feed is trimmed until this is the noise,"),
-    "time": ("s", "... by a factor of e in this time where noise is off by e"),
+    "onset_length": ("m", "L0 at mu = 0.175 and D = 1.5 m"),
+    "onset_friction": ("", "L0 ~ mu^-onset_friction"),
+    "onset_diameter": ("", "L0 ~ D^onset_diameter"),
+    "slow_feed": ("m/s", "u at L' = 30 m, mu = 0.175, D = 1.5 m"),
+    "slow_length": ("", "u ~ L'^-slow_length"),
+    "slow_friction": ("", "u ~ mu^-slow_friction"),
+    "slow_diameter": ("", "u ~ D^slow_diameter"),
+    "quiet": ("m", "noise v at which L' = L"),
+    "shift": ("", "L' = L (v / quiet)^shift"),
+    "aim": ("m", "target of v beyond L0"),
+    "time": ("s", "d(ln u)/dt = ln(aim / v) / time"),
 }
-"""Constant of the law, then of the trim -> unit and meaning."""
+"""Constant of the law, then of the trim -> unit and formula in ``SYMBOLS``."""
+SYMBOLS: Final = "mu friction, D helix diameter, L inserted length, L0 onset, u feed beyond L0, v noise"
 PLANT_DATA: Final = {
-    "AIR_SPEED": "m/s of wind a m3/s of supply",
-    "DRAG": "N s2/m3, of the floats a metre",
+    "AIR_SPEED": "m/s of wind per m3/s of supply",
+    "DRAG": "N s2/m3, floats per metre",
     "FLOAT_DIAMETER": "m",
     "LEAST_FEED": "m/s",
     "MOST_FEED": "m/s",
@@ -50,13 +51,13 @@ PLANT_DATA: Final = {
 
 
 def structured_text(constants: Constants, plant: PlantData, trim: Trim | None = None) -> str:
-    """The law as a function block; with a trim, the feed has integral action on the noise."""
+    """Write the law as a function block; with a trim, the feed has integral action on the noise."""
     from jinja2 import Environment, StrictUndefined
 
     values = (plant.air_speed_per_supply, plant.drag, plant.float_diameter, *plant.feed_speeds, *plant.air_supply_rates)
-    own = [(n.upper(), value, DESCRIPTIONS[n][0] or "-") for n, value in constants.model_dump().items()]
+    entries = [(n.upper(), value, DESCRIPTIONS[n][0] or "-") for n, value in constants.model_dump().items()]
     if trim:
-        own += [("AIM", trim.aim, "m"), ("TRIM_TIME", trim.time, "s")]
+        entries += [("AIM", trim.aim, "m"), ("TRIM_TIME", trim.time, "s")]
     environment = Environment(
         trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True, undefined=StrictUndefined, autoescape=False
     )
@@ -64,13 +65,13 @@ def structured_text(constants: Constants, plant: PlantData, trim: Trim | None = 
     return environment.from_string(TEMPLATE.read_text(encoding="utf-8")).render(
         law=plc_law,
         trim=trim,
-        constants=own,
+        constants=entries,
         plant=[(name, value, unit) for (name, unit), value in zip(PLANT_DATA.items(), values, strict=True)],
     )
 
 
 def _real(value: float) -> str:
-    """A REAL literal with seven digits, all that a REAL has; without an exponent, which some compilers refuse."""
+    """A REAL literal with seven digits (the precision of a REAL), without an exponent, which some compilers refuse."""
     text = np.format_float_positional(value, precision=7, unique=False, fractional=False, trim="-")
     return text if "." in text else f"{text}.0"
 
@@ -80,7 +81,7 @@ def table(
 ) -> pd.DataFrame:
     """Feed and air by helix diameter, friction and inserted length [m], for a controller that stores tables.
 
-    ``noise`` is a radial rms [m]; default: that at which it shifts nothing.
+    ``noise`` is a radial rms [m]; default: the reference noise of the law.
     """
     lengths = np.append(np.arange(SHORTEST, helix_length, TABLE_STEP), helix_length)
     grid = np.meshgrid(diameters, TABLE_FRICTIONS, lengths, indexing="ij")
@@ -92,38 +93,38 @@ def table(
 
 
 def print_law(constants: Constants, trim: Trim | None = None) -> None:
-    """Print the constants of the law, and of a trim."""
+    """Print the constants of the law and of a trim."""
     values = constants.model_dump() | (trim.model_dump() if trim else {})
     rows = [(name, f"{value:.4g}", *DESCRIPTIONS[name]) for name, value in values.items()]
-    print_table("The law's constants", ("constant", "value", "unit", ""), rows, left=4)
+    print_table(f"The law's constants ({SYMBOLS})", ("constant", "value", "unit", ""), rows, left=4)
 
 
 def write_law(
     constants: Constants,
     plant: PlantData,
-    place: EvaluationCase,
+    case: EvaluationCase,
     st: Path | None,
     csv: Path | None,
     trim: Trim | None = None,
 ) -> None:
     """Write the law as structured text (with a trim, if any) and as a table.
 
-    Warns if the plant needs more tension than the law's fixed least air was chosen for, or other tubes.
+    Warns if the plant requires more tension than the least air of the law gives, or is outside the law's domain.
     """
-    needed, usual = place.config.required_tension, TaskConfig().required_tension
+    needed, usual = case.config.required_tension, TaskConfig().required_tension
     if needed > usual:
         warnings.warn(
-            f"required_tension = {needed:g} N: the law's least air, {3600.0 * plant.air_supply_rates[0]:.4g} m3/h, was"
-            f" chosen for {usual:g} N and can lose the drive; raise air_supply_rates[0] in [air] of the tube's file, or"
-            " evaluate shielded:plc-proportional",
+            f"required_tension = {needed:g} N: the law's least air, {3600.0 * plant.air_supply_rates[0]:.4g} m3/h, is"
+            f" for {usual:g} N and can lose the drive; raise air_supply_rates[0] in [air] of the tube file, or use"
+            " shielded:plc-proportional",
             stacklevel=2,
         )
-    check_domains({"the law": Domain.of_map(stored_map())}, place.config, place.contexts, strict=False)
+    check_domains({"the law": Domain.of_map(stored_map())}, case.config, case.contexts, strict=False)
     if st:
         write_atomically(st, structured_text(constants, plant, trim))
         print(f"written: {st}")
     if csv:
-        diameters = sorted({context.helix_diameter for context in place.contexts})
-        rows = table(constants, plant, diameters, place.config.scene.tube.helix_length)
+        diameters = sorted({context.helix_diameter for context in case.contexts})
+        rows = table(constants, plant, diameters, case.config.scene.tube.helix_length)
         write_atomically(csv, rows.to_csv(index=False, float_format="%.6g"))
         print(f"written: {csv}")

@@ -1,4 +1,4 @@
-"""Unknown parameters of a plant, and what is possible for them before a log is read."""
+"""Unknown parameters of a plant and their prior distribution."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ STIFFNESS: Final = (5e4, 1.9e5)  # [N/m]
 DAMPING: Final = (4.5e-5, 1.2e-4)
 """[s]; with less the scheme of ``fast`` and ``standard`` diverged at 2e-4 s in some training tubes."""
 DRAG: Final = (0.85, 1.15)
-"""Range of the drag coefficient, relative to the plant's or table 2's value, where none is given."""
+"""Range of the drag coefficient, relative to the value of the plant or of table 2, if no range is given."""
 
 
 class Unknown(NamedTuple):
-    """An unknown parameter: its place in the plant's file, the range of the response's training, its name in tables."""
+    """An unknown parameter: its field in the plant's file, the range of the response's training, its name in tables."""
 
     table: str
     field: str
@@ -40,21 +40,21 @@ UNKNOWNS: Final = {
     "drag_coefficient": Unknown("air", "drag_coefficient", "", 0.1, 2.0, "drag coefficient"),
     "damping_time": Unknown("probe", "damping_time", "s", *DAMPING, "damping time"),
 }
-"""In the order of their columns in arrays."""
+"""In the order of the columns of arrays."""
 
 
 @dataclass(frozen=True, eq=False)
 class Prior:
     """Prior distribution of the unknowns: fixed values, quantile functions and ranges of the others, by name."""
 
-    known: dict[str, float]
+    fixed: dict[str, float]
     quantile: dict[str, Callable[[FloatArray], FloatArray]]
     ranges: dict[str, tuple[float, float]]
-    assumed: list[str]  # ranges that the file does not give, as texts
+    assumed: list[str]  # ranges that are not in the file, as texts
 
     @property
     def shared(self) -> tuple[str, ...]:
-        """Unknowns that all tubes have in common: all but the friction."""
+        """Unknowns shared by all tubes: all except the friction."""
         return tuple(name for name in self.quantile if name != "friction")
 
     def values(self, normal: FloatArray, tubes: int) -> FloatArray:
@@ -65,8 +65,8 @@ class Prior:
         shares = np.clip(ndtr(normal), 1e-9, 1.0 - 1e-9)
         table = np.empty((tubes, len(normal), len(UNKNOWNS)))
         for k, name in enumerate(UNKNOWNS):
-            if name in self.known:
-                table[:, :, k] = self.known[name]
+            if name in self.fixed:
+                table[:, :, k] = self.fixed[name]
             elif name == "friction":
                 table[:, :, k] = self.quantile[name](shares[:, :tubes]).T
             else:
@@ -75,10 +75,10 @@ class Prior:
 
 
 def prior_of(plant: Plant, file: str = "tube") -> Prior:
-    """The prior of a plant: ranges and normals as in its file; a number is known.
+    """The prior of a plant: ranges and normal distributions as in its file; a number is a fixed value.
 
-    The friction is never fixed. Friction, stiffness and damping that are not given have the ranges in which the
-    response was trained, and so has a friction that is given as a number; drag that is not given is within ``DRAG``.
+    The friction is never fixed. Defaults of friction (also if it is a number), stiffness and damping are the training
+    ranges of the response; that of the drag is ``DRAG``.
 
     Raises:
         FileError: a value outside the range in which the response was trained; names field, value and range.
@@ -93,7 +93,7 @@ def prior_of(plant: Plant, file: str = "tube") -> Prior:
         elif isinstance(figure, Normal):
             _checked(figure.mean, unknown, file)
         elif name != "friction" and unknown.field in table.model_fields_set:
-            prior.known[name] = _checked(figure, unknown, file)
+            prior.fixed[name] = _checked(figure, unknown, file)
             continue
         else:
             if name == "drag_coefficient":
@@ -115,6 +115,6 @@ def _checked(value: float, unknown: Unknown, file: str) -> float:
     if not unknown.low <= value <= unknown.high:
         unit = f" {unknown.unit}" if unknown.unit else ""
         problem = f"{value:g}{unit} is outside {unknown.low:g} to {unknown.high:g}{unit}"
-        reason = "for which the response of the probe was learnt"
+        reason = "the training range of the response"
         raise FileError(file, f"{unknown.table}.{unknown.field} = {problem}, {reason}")
     return float(value)

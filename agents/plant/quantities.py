@@ -1,4 +1,4 @@
-"""Quantities of a log: columns of a clean file, the heads and units that rigs write, accepted ranges, ``--columns``."""
+"""Quantities of a log: columns of a clean file, headings and units of rigs, accepted ranges, ``--columns``."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ HOUR: Final = 3600.0
 
 
 class Quantity(NamedTuple):
-    """A quantity of a log: as ``--columns`` takes it and as a clean file has it."""
+    """A quantity of a log, as in ``--columns`` and in a clean file."""
 
     name: str
-    unit: str  # of a clean file
-    si: str  # as pint writes it
+    unit: str  # in a clean file
+    si: str  # SI unit for pint
     low: float  # accepted [SI]
     high: float
-    heads: str  # that mean it, beside its name: small letters, without unit
-    scale: float = 1.0  # of ``unit`` [SI]
-    noise: float = 0.0  # how far below ``low`` a meter may read [SI]; it is taken for ``low``
+    heads: str  # accepted headings, in addition to its name: lower case, without unit
+    scale: float = 1.0  # value of ``unit`` [SI]
+    noise: float = 0.0  # accepted noise below ``low`` [SI]; the value is clipped to ``low``
     rms: bool = False  # whether it is averaged as a root mean square
 
     @property
@@ -64,9 +64,9 @@ QUANTITIES: Final[Mapping[str, Quantity]] = {quantity.name: quantity for quantit
 MEASURED: Final = tuple(QUANTITIES)[4:]
 """Quantities that a log may lack."""
 DATE: Final = "date"
-"""The day of a clock that stands in another column."""
+"""Date of a clock time in another column."""
 NAMES: Final = (*QUANTITIES, DATE)
-"""What ``--columns`` may name."""
+"""Names accepted by ``--columns``."""
 _HEADS: Final = {DATE: "day, datum, tag, messdatum"} | {name: q.heads for name, q in QUANTITIES.items()}
 _BY_HEAD: Final = {
     head: name for name, heads in _HEADS.items() for head in (name.replace("_", " "), *heads.split(", "))
@@ -83,17 +83,17 @@ LONGEST_UNIT: Final = 40
 _SUPERSCRIPTS: Final = str.maketrans({"²": "2", "³": "3", "¹": "1", "⁻": "-", "·": "*", "⋅": "*", "μ": "µ"})
 _POWER: Final = re.compile(r"(?<=[A-Za-zµ])(?:\^|\*\*)?(-?[1-3])(?![\w^*])")
 _SHAPE: Final = re.compile(r"[A-Za-zµ_]+(?:\*\*-?[1-3])?(?:[*/ ][A-Za-zµ_]+(?:\*\*-?[1-3])?)*")
-"""The units that pint is given: it would also compute powers of large numbers, without end."""
+"""Units that are passed to pint, which would also compute powers of large numbers."""
 _WORDS: Final = {"sek": "s", "sec": "s", "sekunden": "s", "minuten": "min", "std": "h", "stunden": "h"}
 _OF_DIMENSION: Final = {
     "m/s**2": (r"^(m?)(?:g|G|gn|g_n)$", lambda match: f"{'milli' * bool(match[1])}standard_gravity"),
     "m**3/s": (r"^[Nn](?=(?:m\*\*3|[lL])(?:/|$))", lambda _: ""),  # normal cubic metres and litres
 }
-"""SI unit -> pattern of a unit that pint reads as another, and the right one."""
+"""SI unit -> pattern of a unit that pint misreads, and its replacement."""
 
 
 def split_head(head: str) -> tuple[str, str]:
-    """Words and unit of a head: "Vorschub [mm/s]", "flow (m3/h)", "Weg in mm", "feed_speed_mm_per_s"."""
+    """Words and unit of a heading: "Vorschub [mm/s]", "flow (m3/h)", "Weg in mm", "feed_speed_mm_per_s"."""
     match = _UNIT.search(head)
     if match and match.start():
         return head[: match.start()].strip(), next(group for group in match.groups() if group is not None).strip()
@@ -104,12 +104,12 @@ def split_head(head: str) -> tuple[str, str]:
 
 
 def plain(words: str) -> str:
-    """Words of a head as they are compared: small letters, single spaces."""
+    """Words of a heading for comparison: lower case, single spaces."""
     return re.sub(r"[\s_.\-:]+", " ", words).strip().casefold()
 
 
-def known_as(head: str) -> str | None:
-    """The quantity (or ``DATE``) that a head means; None if no known one."""
+def quantity_of(head: str) -> str | None:
+    """Quantity (or ``DATE``) of a heading; None if it is unknown."""
     words = plain(split_head(head)[0])
     return _BY_HEAD.get(words) or _BY_HEAD.get(re.sub(r" (?:rms|eff|effektiv)$", "", words))
 
@@ -122,7 +122,7 @@ class ColumnOption(NamedTuple):
     unit: str
 
     def means(self, head: str) -> bool:
-        """Whether a head of the file, with or without its unit, is this one."""
+        """Whether a heading of the file, with or without its unit, equals ``head``."""
         return plain(self.head) in (plain(head), plain(split_head(head)[0]))
 
 
@@ -140,7 +140,7 @@ def parse_columns(texts: Sequence[str]) -> tuple[ColumnOption, ...]:
             problem = f"columns = {text[:100]!r} is not HEAD=QUANTITY or HEAD=QUANTITY[UNIT]"
             raise ValueError(f"{problem}, with one of {', '.join(NAMES)}")
         if name in options:
-            raise ValueError(f"columns = {text[:100]!r}: {name} is named twice, and comes from one column")
+            raise ValueError(f"columns = {text[:100]!r}: {name} is named twice, but comes from one column")
         options[name] = ColumnOption(head.strip(), name, unit)
     return tuple(options.values())
 
@@ -167,7 +167,7 @@ def si_factor(unit: str, quantity: Quantity) -> float:
     try:
         return float(pint.Quantity(1.0, pint.Unit(text)).to(quantity.si).magnitude)
     except pint.UndefinedUnitError:
-        raise ValueError(f"the unit {unit!r} is not known - {example}") from None
+        raise ValueError(f"the unit {unit!r} is unknown - {example}") from None
     except pint.DimensionalityError:
         raise ValueError(f"{unit!r} is not a unit of {quantity.name} - {example}") from None
     except (pint.PintError, ValueError, TypeError, ArithmeticError, AttributeError) as error:
@@ -175,6 +175,6 @@ def si_factor(unit: str, quantity: Quantity) -> float:
 
 
 def looks_like_unit(cell: str) -> bool:
-    """Whether a cell below a head may be its unit."""
+    """Whether a cell below a heading may be its unit."""
     text = cell.strip("[]() ").translate(_SUPERSCRIPTS)
     return not text.isdigit() and re.fullmatch(rf"[A-Za-zµ°%/*^ \d-]{{0,{LONGEST_UNIT}}}", text) is not None

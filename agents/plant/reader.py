@@ -1,7 +1,6 @@
-"""The reader of log files: text of any separator and encoding, or an Excel sheet, as columns in SI units.
+"""Reads log files: text with any separator and encoding, or an Excel sheet, as columns in SI units.
 
-A format turns the bytes of a file into lines of cells (``_decoded``, ``_sheet_lines``). ``_table_of`` finds the head
-and splits the lines, ``read_channels`` makes quantities of the columns.
+``_decoded`` or ``_sheet_lines`` give lines, ``_table_of`` splits them, ``read_channels`` converts the columns.
 """
 
 from __future__ import annotations
@@ -30,13 +29,13 @@ from agents.plant.quantities import (
     QUANTITIES,
     ColumnOption,
     Quantity,
-    known_as,
     looks_like_unit,
     plain,
+    quantity_of,
     si_factor,
     split_head,
 )
-from agents.plant.times import MISSING, MORE_THAN_NUMBER, CellError, check, dated, matches, seconds
+from agents.plant.times import MISSING, MORE_THAN_NUMBER, CellError, check, matches, seconds, with_dates
 from probe_env.arrays import FloatArray
 from probe_env.files import MEBI, FileError, read_bytes
 from probe_env.schedule import CSV_COMMENT
@@ -46,13 +45,13 @@ MOST_BYTES: Final = 256 * MEBI
 MOST_ROWS: Final = 5_000_000
 MOST_COLUMNS: Final = 256
 HEAD_WITHIN: Final = 200
-"""Lines, empty ones apart, within which the head must stand."""
+"""Number of non-empty lines within which the header must be."""
 HEADS_SHOWN: Final = 12
 
 SEPARATORS: Final = {";": "';'", "\t": "tabs", "|": "'|'", ",": "','", " ": "spaces"}
 _CONTROL: Final = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f]")
 _COMMENT: Final = r"^\s*[#%!]|^[\s|:+=-]*$"
-"""Comments, empty lines, rules between head and rows."""
+"""Comments, empty lines, and lines of dashes between header and rows."""
 _SPACED_TIME: Final = r"(\d{4}-\d\d-\d\d|\d\d\.\d\d\.\d{4})[ \t]+(\d\d:\d\d)"
 _END_PIPES: Final = r"^\s*\||\|\s*$"
 _NUMBER_OR_TIME: Final = re.compile(r"[+-]?[\d.,'  ]*\d[\d.,'  ]*(?:[eE][+-]?\d+)?|\d[\d:.,TZ +-]*:[\d:.,TZ +-]*")
@@ -64,26 +63,26 @@ OLD_EXCEL: Final = b"\xd0\xcf\x11\xe0"
 MOST_UNPACKED: Final = 512 * MEBI
 MOST_TEXT: Final = 256 * MEBI
 MOST_EMPTY: Final = 10_000
-"""Rows without a cell, of which a small file can hold millions."""
+"""Limit of empty rows; a small file can hold millions."""
 
 
 @dataclass(frozen=True)
 class Table:
-    """Cells as they are written."""
+    """Cells of a file as texts."""
 
     path: Path
     heads: tuple[str, ...]
-    units: tuple[str, ...]  # from the row below the heads; empty texts where there is none
-    columns: tuple[Any, ...]  # arrow arrays of texts (rows,), without spaces at their ends
+    units: tuple[str, ...]  # from the row below the headings; empty texts without such a row
+    columns: tuple[Any, ...]  # arrow arrays of trimmed texts (rows,)
     lines: IntArray  # (rows,) line number, or row number of a sheet
-    row_word: str  # what errors call a row: line or row
+    row_word: str  # word for a row in errors: line or row
     separator: str
-    steps: bool  # whether the file says that values hold until the next row
+    steps: bool  # whether values are constant until the next row
 
     def error(self, row: int, problem: str, column: int | None = None) -> FileError:
-        """An error at a row, and column."""
-        place = f", column {self.heads[column]!r}" if column is not None else ""
-        return FileError(self.path, f"{self.row_word} {self.lines[row]}{place}: {problem}")
+        """An error at a row and column."""
+        position = f", column {self.heads[column]!r}" if column is not None else ""
+        return FileError(self.path, f"{self.row_word} {self.lines[row]}{position}: {problem}")
 
     def error_between(self, first: int, last: int, problem: str) -> FileError:
         """An error from one row to another."""
@@ -92,7 +91,7 @@ class Table:
 
 @dataclass(frozen=True)
 class Channels:
-    """A log as it was recorded, in SI units, NaN where values are missing."""
+    """A recorded log in SI units; missing values are NaN."""
 
     table: Table
     time: FloatArray  # (rows,) seconds from any origin
@@ -103,19 +102,19 @@ class Channels:
 def read_channels(
     path: Path, sheet: str | None, options: Sequence[ColumnOption], decimal: str, air: float | None
 ) -> Channels:
-    """The quantities of a text file, or of a sheet of a workbook.
+    """Read the quantities of a text file or of a sheet of a workbook.
 
     Args:
-        path: of the file.
-        sheet: of a workbook; None: the first.
-        options: heads that are not known.
-        decimal: "." or ","; empty: found from the numbers.
-        air: of a log without that column [m3/s].
+        path: file.
+        sheet: sheet of a workbook; None: the first.
+        options: quantities of unknown headings.
+        decimal: "." or ","; empty: detected.
+        air: air of a log without that column [m3/s].
 
     Raises:
         FileNotFoundError: no such file.
-        FileError: not a text or workbook; no such sheet; no head or rows; a column that is missing, occurs twice or has
-            no unit; a cell that is no number or time, or out of range; too large.
+        FileError: not a text or workbook; no such sheet; no header or rows; a column that is missing, occurs twice or
+            has no unit; a cell that is not a number or time, or out of range; too large.
         ModuleNotFoundError: openpyxl or pint is not installed.
     """
     table = _read_table(path, sheet, options)
@@ -124,13 +123,13 @@ def read_channels(
     for names in (("time",), ("feed_speed", "inserted_length"), ("air_supply",)):
         if not any(name in indices for name in names) and (names != ("air_supply",) or air is None):
             hint = "; or give a constant, --air-supply M3_PER_H" if names == ("air_supply",) else ""
-            problem = f"no column is known as {' or '.join(names)}; found: {_listed(table.heads)}"
+            problem = f"no column for {' or '.join(names)}; found: {_listed(table.heads)}"
             raise FileError(path, f"{problem} - name it: --columns 'HEAD={names[0]}'{hint}")
     cells, column = {name: table.columns[k] for name, k in indices.items()}, date
     values: dict[str, FloatArray] = {}
     try:
         if date is not None:
-            cells["time"] = dated(table.columns[date], cells["time"])
+            cells["time"] = with_dates(table.columns[date], cells["time"])
         first = cells["time"].filter(pa.array(~matches(cells["time"], MISSING)))[:1]
         written_out = matches(first, MORE_THAN_NUMBER).any()
         numbers = {name: k for name, k in indices.items() if not (written_out and name == "time")}
@@ -159,7 +158,7 @@ def _read_table(path: Path, sheet: str | None, options: Sequence[ColumnOption]) 
 
 
 def _decoded(path: Path, content: bytes) -> str:
-    """The text of a file: UTF-8, UTF-16, or else what Windows writes in Western Europe."""
+    """Decode a file: UTF-8, UTF-16, else Windows Western European."""
     begin = content[:1000]
     names = ["utf-8-sig", "cp1252"]
     if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
@@ -174,7 +173,7 @@ def _decoded(path: Path, content: bytes) -> str:
             line, byte = content.count(b"\n", 0, error.start) + 1, content[error.start]
     else:
         raise FileError(path, f"line {line}: not a text file (byte 0x{byte:02x}): export it as text in UTF-8")
-    text = text.rstrip("\x1a").replace("\r\n", "\n").replace("\r", "\n")  # DOS ended files with Ctrl-Z
+    text = text.rstrip("\x1a").replace("\r\n", "\n").replace("\r", "\n")  # end of file in DOS: Ctrl-Z
     if control := _CONTROL.search(text):
         line = text.count("\n", 0, control.start()) + 1
         problem = f"not a text file: a control character (0x{ord(control[0]):02x})"
@@ -183,16 +182,16 @@ def _decoded(path: Path, content: bytes) -> str:
 
 
 def _sheet_lines(path: Path, content: bytes, sheet: str | None) -> list[str]:
-    """Cells of every row of a sheet, with tabs between them; formulas by their stored values."""
+    """Rows of a sheet as lines of cells, separated by tabs; formulas are replaced by their stored values."""
     import openpyxl
 
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             parts = archive.infolist()
-        unpacked = sum(part.file_size for part in parts)  # what a part declares is all that is unpacked of it
+        unpacked = sum(part.file_size for part in parts)  # no more than the declared size is unpacked
         if unpacked > MOST_UNPACKED:
             size = f"{len(parts)} parts of {unpacked} bytes unpacked"
-            raise FileError(path, f"{size} are more than a log may have: export it as CSV")
+            raise FileError(path, f"{size} are too large for a log: export it as CSV")
         with warnings.catch_warnings(action="ignore"):  # of styles and extensions
             book = openpyxl.load_workbook(io.BytesIO(content), read_only=True, data_only=True, keep_links=False)
             names = [str(name) for name in book.sheetnames]
@@ -201,11 +200,11 @@ def _sheet_lines(path: Path, content: bytes, sheet: str | None) -> list[str]:
             page = book[sheet if sheet is not None else names[0]]
             if not hasattr(page, "reset_dimensions"):
                 raise FileError(path, f"{page.title!r} is a chart, not a sheet: --sheet names another")
-            page.reset_dimensions()  # a sheet may claim any size
+            page.reset_dimensions()  # a sheet may declare any size
             return _joined(path, page.iter_rows(max_col=MOST_COLUMNS + 1, values_only=True))
     except FileError:
         raise
-    except Exception as error:  # a damaged workbook raises whatever its parts run into
+    except Exception as error:  # a damaged workbook can raise any error
         problem = f"not an Excel workbook that can be read ({type(error).__name__})"
         raise FileError(path, f"{problem}: save it again") from error
 
@@ -221,24 +220,24 @@ def _joined(path: Path, rows: Iterable[Sequence[Any]]) -> list[str]:
         empty += not cells
         size += sum(map(len, cells))
         if empty > MOST_EMPTY:
-            raise FileError(path, f"row {number}: more rows than a sheet has, or more empty ones than a log: cut it")
+            raise FileError(path, f"row {number}: more empty rows than accepted ({MOST_EMPTY}): cut the sheet")
         if len(cells) > MOST_COLUMNS:
             raise FileError(path, f"row {number}: more than {MOST_COLUMNS} columns")
         if size > MOST_TEXT:
-            raise FileError(path, f"row {number}: the sheet is larger than a log may be: cut it")
+            raise FileError(path, f"row {number}: the sheet is too large for a log: cut it")
         lines.append("\t".join(cells))
     return lines
 
 
 def _table_of(path: Path, lines: list[str], options: Sequence[ColumnOption], word: str) -> Table:
-    """The table of lines of text, or of rows of a sheet, whose cells tabs separate."""
+    """Make a table of lines of text, or of rows of a sheet with cells separated by tabs."""
     text = word == "line"
     if len(lines) > MOST_ROWS:
-        raise FileError(path, f"{len(lines)} {word}s are more than the {MOST_ROWS} that a log may have: cut it")
+        raise FileError(path, f"{len(lines)} {word}s are more than the {MOST_ROWS} accepted in a log: cut it")
     filled = [k for k, line in enumerate(lines[: 10 * HEAD_WITHIN]) if line.strip()][:HEAD_WITHIN]
     if not any(map(str.strip, lines)):
         raise FileError(
-            path, "empty: a head and rows of numbers are needed" + ("" if text else "; --sheet names another")
+            path, "empty: a header and rows of numbers are needed" + ("" if text else "; --sheet names another")
         )
     separators = tuple(SEPARATORS) if text else ("\t",)
     candidates = [
@@ -248,8 +247,8 @@ def _table_of(path: Path, lines: list[str], options: Sequence[ColumnOption], wor
     ]
     best = max(candidates, key=lambda candidate: _named(candidate[2], options), default=None)
     if best is None or _named(best[2], options) < 2:
-        number, shown = next(((k, cells) for k, _, cells in candidates if len(cells) > text), (1, list[str]()))
-        problem = f"no head that names two quantities; found: {_listed(shown) or 'none'} - say what they are"
+        number, found = next(((k, cells) for k, _, cells in candidates if len(cells) > text), (1, list[str]()))
+        problem = f"no header with two known quantities; found: {_listed(found) or 'none'} - declare them"
         names = f"--columns 'HEAD=QUANTITY', with QUANTITY one of {', '.join(NAMES)}"
         raise FileError(path, f"{word} {number}: {problem}: {names}")
     head, separator, _ = best
@@ -270,19 +269,19 @@ def _table_of(path: Path, lines: list[str], options: Sequence[ColumnOption], wor
         units = [*(cell.strip("[]() ") for cell in below), *units][: len(heads)]
         numbers = numbers[1:]
     if not len(numbers):
-        raise FileError(path, f"{word} {head}: a head, but no rows below it: at least two are needed")
+        raise FileError(path, f"{word} {head}: a header without rows below it: at least two are needed")
     columns = _columns(path, rows.take(pa.array(numbers - head - 1)), numbers, separator, len(heads), word)
     return Table(path, tuple(heads), tuple(units), columns, numbers, word, separator if text else "", steps)
 
 
 def _named(cells: Sequence[str], options: Sequence[ColumnOption]) -> int:
-    """How many quantities a row names."""
+    """Number of quantities that a row names."""
     named = {option.quantity for cell in cells if cell for option in options if option.means(cell)}
-    return len(named | {name for cell in cells if (name := known_as(cell))})
+    return len(named | {name for cell in cells if (name := quantity_of(cell))})
 
 
 def _listed(heads: Sequence[str]) -> str:
-    """The first heads, for an error."""
+    """The first headings, for an error."""
     return ", ".join(repr(head[:60]) for head in heads[:HEADS_SHOWN]) + (" ..." if len(heads) > HEADS_SHOWN else "")
 
 
@@ -291,7 +290,7 @@ def _uncommented(line: str) -> str:
 
 
 def _split(line: str, separator: str) -> list[str]:
-    """Cells of a head or a row of units."""
+    """Cells of a header or a row of units."""
     if separator == " ":
         return re.split(r"\s+(?![\[(])", re.sub(_SPACED_TIME, r"\1T\2", line).strip())  # a unit belongs to its word
     if separator == "|":
@@ -314,7 +313,7 @@ def _columns(path: Path, lines: Any, numbers: IntArray, separator: str, count: i
         if separator == "|":
             lines = pc.replace_substring_regex(lines, _END_PIPES, "")
         end = re.escape(separator) + r"[ ]*$"
-        closed = np.asarray(pc.count_substring(lines, separator)) == count  # a separator behind the last cell
+        closed = np.asarray(pc.count_substring(lines, separator)) == count  # a separator after the last cell
         if (closed & matches(lines, end)).any():
             lines = pc.if_else(pa.array(closed), pc.replace_substring_regex(lines, end, ""), lines)
         cells = pc.split_pattern(lines, separator)
@@ -326,7 +325,7 @@ def _columns(path: Path, lines: Any, numbers: IntArray, separator: str, count: i
         if k == len(lengths) - 1 and lengths[k] < count:
             hint = "the file ends within it: delete that line"
         elif separator == "," and len(wrong) == len(lengths) and lengths[k] > count:
-            hint = "decimal commas and separating commas cannot be told apart: export it with semicolons"
+            hint = "decimal commas and separating commas are ambiguous: export it with semicolons"
         values = f"{lengths[k]} values for {count} columns" + f", separated by {SEPARATORS[separator]}" * (
             word == "line"
         )
@@ -342,34 +341,34 @@ def _quoted_rows(path: Path, lines: list[str], numbers: IntArray, separator: str
         for row in reader:
             rows.append(row[:-1] if len(row) == count + 1 and not row[-1].strip() else row)
             if reader.line_num != len(rows):
-                raise FileError(path, f"line {numbers[len(rows) - 1]}: a quote that this line does not close")
+                raise FileError(path, f"line {numbers[len(rows) - 1]}: a quote is not closed")
     except csv.Error as error:
         raise FileError(path, f"line {numbers[len(rows)]}: not CSV: {error}") from error
     return rows
 
 
 def _indices(table: Table, options: Sequence[ColumnOption]) -> tuple[dict[str, int], dict[str, str]]:
-    """Index of the column of every quantity, and the units that ``--columns`` gives."""
+    """Index of the column of every quantity, and units from ``--columns``."""
     indices: dict[str, int] = {}
     for option in options:
         found = [k for k, head in enumerate(table.heads) if head == option.head]
         found = found or [k for k, head in enumerate(table.heads) if head and option.means(head)]
         name = f"column {option.head[:60]!r}"
         if len(found) != 1:
-            often = "is not there" if not found else f"is there {len(found)} times: rename one in the file"
+            often = "does not exist" if not found else f"exists {len(found)} times: rename one in the file"
             raise FileError(table.path, f"{name} of --columns {often}; found: {_listed(table.heads)}")
         if found[0] in indices.values():
-            raise FileError(table.path, f"{name} is named twice in --columns: it is one quantity")
+            raise FileError(table.path, f"{name} is named twice in --columns: a column is one quantity")
         indices[option.quantity] = found[0]
     by_option = dict(indices)
     for k, head in enumerate(table.heads):
-        known = known_as(head)
-        if k in by_option.values() or known is None or known in by_option:
+        quantity = quantity_of(head)
+        if k in by_option.values() or quantity is None or quantity in by_option:
             continue
-        if known in indices:
-            both = f"columns {table.heads[indices[known]]!r} and {head!r} are both {known}"
-            raise FileError(table.path, f"{both}: say which it is, --columns 'HEAD={known}'")
-        indices[known] = k
+        if quantity in indices:
+            both = f"columns {table.heads[indices[quantity]]!r} and {head!r} are both {quantity}"
+            raise FileError(table.path, f"{both}: choose one, --columns 'HEAD={quantity}'")
+        indices[quantity] = k
     return indices, {option.quantity: option.unit for option in options if option.unit}
 
 
@@ -379,7 +378,7 @@ def _factor(table: Table, quantity: Quantity, k: int, units: Mapping[str, str]) 
     if not unit and quantity.name == "time":
         unit = quantity.unit
     if not unit:
-        hint = f"give it, --columns '{plain(head)}={quantity.name}[UNIT]'"
+        hint = f"declare it, --columns '{plain(head)}={quantity.name}[UNIT]'"
         raise FileError(table.path, f"column {head!r} has no unit: {hint}")
     try:
         return si_factor(unit, quantity)
@@ -399,32 +398,32 @@ def _in_range(quantity: Quantity, values: FloatArray) -> FloatArray:
 
 
 def _decimal_sign(table: Table, columns: Mapping[int, Any]) -> str:
-    """The decimal sign of a file, by all its numbers: texts by the index of their column."""
+    """Decimal sign of a file from all its numbers: texts by the index of their column."""
     proofs = {sign: _first(columns, _proof(sign)) for sign in ".,"}
     if proofs["."] and proofs[","]:
         row, k = max(proofs["."], proofs[","])
         problem = f"{columns[k][row].as_py()[:40]!r} has another decimal sign than the numbers before it"
-        raise table.error(row, f"{problem}: use one", k)
+        raise table.error(row, f"{problem}: use only one", k)
     for sign, proof in proofs.items():
         if proof:
             return sign
-    if table.separator in ("", ",") and not _first(columns, ","):  # then a point marks no thousands
+    if table.separator in ("", ",") and not _first(columns, ","):  # then a point is no thousands separator
         return "."
     if unclear := _first(columns, r"[.,]"):
         row, k = unclear
-        problem = f"{columns[k][row].as_py()[:40]!r} may have a decimal sign or thousands, and no other number tells"
-        raise table.error(row, f"{problem}: --decimal point or comma", k)
+        problem = f"{columns[k][row].as_py()[:40]!r} is ambiguous: decimal sign or thousands separator"
+        raise table.error(row, f"{problem}: give --decimal point or comma", k)
     return "."
 
 
 def _proof(sign: str) -> str:
-    """What only a number with this decimal sign looks like."""
+    """Pattern of numbers that are only possible with this decimal sign."""
     g = re.escape("," if sign == "." else ".")
     d = re.escape(sign)
     return (
         rf"^[+-]?(?:\d{{1,3}}(?:{g}\d{{3}})+{d}\d*"  # thousands and a decimal sign
         rf"|\d{{1,3}}(?:{g}\d{{3}}){{2,}}"  # groups of thousands
-        rf"|\d*{d}(?:\d{{0,2}}|\d{{4,}}){_POWER}?"  # not three digits behind it
+        rf"|\d*{d}(?:\d{{0,2}}|\d{{4,}}){_POWER}?"  # not three digits after it
         rf"|(?:0\d*|\d{{4,}}|){d}\d*{_POWER}?"  # nor one to three before it, as a group has
         rf"|\d+{d}\d*{_POWER})$"
     )
@@ -432,7 +431,7 @@ def _proof(sign: str) -> str:
 
 def _first(columns: Mapping[int, Any], pattern: str) -> tuple[int, int] | None:
     """Row and column of the first text with a pattern, row by row."""
-    for begin, count in ((0, 1000), (1000, None)):  # most files show it at once
+    for begin, count in ((0, 1000), (1000, None)):  # in most files one of the first rows matches
         found = [
             (begin + int(m.argmax()), k)
             for k, c in columns.items()
@@ -447,7 +446,7 @@ def _numbers(cells: Any, sign: str) -> FloatArray:
     """Finite numbers (rows,) of trimmed texts, NaN where missing."""
     other = "," if sign == "." else "."
     if sign == "." or not matches(cells, r"\.").any():
-        with suppress(pa.ArrowInvalid):  # most columns are written plainly, and read fast
+        with suppress(pa.ArrowInvalid):  # fast path for plain numbers
             values = np.asarray(pc.replace_substring(cells, sign, ".").cast(pa.float64()), dtype=float)
             if np.isfinite(values).all():
                 return values
@@ -460,6 +459,6 @@ def _numbers(cells: Any, sign: str) -> FloatArray:
     hint = " - correct it, or leave it empty"
     good = (readable | missing) & ~np.isinf(values)
     if not good.all() and other in cells[int((~good).argmax())].as_py():
-        hint = f" with the decimal sign {sign!r}, which the other numbers have{hint}"
+        hint = f" with the decimal sign {sign!r} of the other numbers{hint}"
     check(cells, good, f"is not a finite number{hint}")
     return values

@@ -1,7 +1,7 @@
-"""Recommended schedules, feedback laws and safe air: least expected cost over draws of a plant's unknowns.
+"""Recommended schedules, feedback laws and safe air: least expected cost over samples of a plant's unknowns.
 
-The schedule has feed and air at every few metres, by dynamic programming. Every metre has its own cost; a price on
-change makes the schedule smooth, and settings that leave the cable too slack in too many of the draws are excluded.
+Feed and air at every few metres follow from dynamic programming over the cost per metre. A cost of changes makes the
+schedule smooth; settings with too little tension in too many samples are excluded.
 """
 
 from __future__ import annotations
@@ -39,22 +39,22 @@ MEASURES: Final = {"displacement": "rf_noise_rms", "acceleration": "radial_accel
 """Vibration measure of a task -> channel of the response."""
 FEEDS, AIRS = 28, 12
 """Points of the grid of settings."""
-SAFE_PLACES: Final = 23
-"""Lengths of an insertion at which ``safe_air`` computes the root tension."""
+SAFE_LENGTHS: Final = 23
+"""Number of inserted lengths at which ``safe_air`` computes the root tension."""
 STEP: Final = 0.02
 FRICTIONS: Final = tuple(round(0.06 + STEP * k, 2) for k in range(15))
-"""Of a law's rows, up to 0.34."""
-OF_A_LAW: Final = 16
-"""Draws of one helix diameter for a row of a law."""
-SMOOTH: Final = 0.5
-"""Cost of a change of the feed by a factor of e, or of the air over its range, from one knot to the next."""
+"""Frictions of the rows of a law, up to 0.34."""
+DRAWS_PER_ROW: Final = 16
+"""Samples of one helix diameter for a row of a law."""
+CHANGE_WEIGHT: Final = 0.5
+"""Cost of a change of the feed by a factor of e, or of the air over its range, between two points."""
 MARGIN: Final = 1.5
-"""Root tension over what the task needs that is kept ..."""
-SURE: Final = 0.95
-"""... in this share of the draws."""
+"""Required ratio of root tension to the task's required tension ..."""
+CONFIDENCE: Final = 0.95
+"""... in this share of the samples."""
 NAME: Final = "recommended"
 LAW: Final = "recommended-law"
-OURS: Final = ("best-schedule", "tension-scheduled")
+BASELINES: Final = ("best-schedule", "tension-scheduled")
 """Policies that a recommendation is always compared with."""
 
 
@@ -62,17 +62,17 @@ class Optimum(NamedTuple):
     """A schedule over inserted length, and its expected result."""
 
     schedule: Schedule
-    reward: float  # mean of an insertion
-    tension: float  # of the root, which SURE of the draws exceed where lost drive counts [N]
+    reward: float  # mean expected reward of an insertion
+    tension: float  # root tension that CONFIDENCE of the samples exceed where lost drive is scored [N]
 
 
 @dataclass(frozen=True)
 class Confirmation:
-    """How a recommendation is simulated."""
+    """Settings of the simulation of a recommendation."""
 
-    folder: Path  # of the episodes and the report
-    own: tuple[str, ...] = ()  # schedules to compare with, as evaluate takes them
-    limit: int = 24  # tubes; 0: all
+    folder: Path  # folder of episodes and report
+    schedules: tuple[str, ...] = ()  # schedules to compare with, specs as for evaluate
+    limit: int = 24  # number of tubes; 0: all
     fidelity: str = "standard"
 
 
@@ -84,115 +84,116 @@ def recommend(
     law: Path | None = None,
     workers: Workers = HERE,
 ) -> Optimum:
-    """Search, write the schedule and how it was found, simulate it against others, print.
+    """Search a schedule, write it, simulate it with others, print.
 
     Args:
-        plant: the tubes and what is known of them; None: table 2's in the shipped lists.
-        output: the schedule (.csv); how it was found is written to NAME.json next to it.
-        confirmation: how it is simulated; None: it is not.
+        plant: plant; None: table 2 with the shipped lists of tubes.
+        output: schedule file (.csv); a description is written to NAME.json next to it.
+        confirmation: settings of the simulation; None: no simulation.
         response: expected measurements.
-        law: file (.json) of a feedback law; None: none is made.
-        workers: of the simulation.
+        law: file of a feedback law (.json); None: no law.
+        workers: workers of the simulation.
 
     Raises:
-        ValueError: the plant, or a schedule to compare with, is not valid; nothing was written.
+        ValueError: the plant, or a schedule to compare with, is not valid; nothing is written.
     """
-    seen = case_of(plant, "train")
-    unseen = case_of(plant, "test", confirmation.limit) if confirmation else seen
-    for text in beyond(seen.contexts, response, seen.config):
-        warnings.warn(f"recommended beyond what the response was learnt from: {text}", OutsideDomain, stacklevel=2)
-    specs = (*(confirmation.own if confirmation else ()), *OURS)
-    if seen.config.returns:
+    case = case_of(plant, "train")
+    test_case = case_of(plant, "test", confirmation.limit) if confirmation else case
+    for text in outside_training(case.contexts, response, case.config):
+        warnings.warn(f"outside the training range of the response: {text}", OutsideDomain, stacklevel=2)
+    specs = (*(confirmation.schedules if confirmation else ()), *BASELINES)
+    if case.config.returns:
         print(
-            f"{output.stem} is for the way in, and drawn back as fast as the device can;"
-            " probe-env study best-round-trip searches feed and air of both ways"
+            f"{output.stem} is for the insertion; the withdrawal is at the fastest feed. For both passes use"
+            " probe-env study best-round-trip"
         )
     if confirmation:
-        with warnings.catch_warnings():  # what cannot be compared is refused before the search; warnings come with it
+        with warnings.catch_warnings():  # check the policies before the search; their warnings follow below
             warnings.simplefilter("ignore")
-            plan_of(specs, unseen, 1, confirmation.fidelity)
-    optimum = recommended(seen.contexts, response, seen.config)
+            plan_of(specs, test_case, 1, confirmation.fidelity)
+    optimum = optimal_schedule(case.contexts, response, case.config)
     write_atomically(output, optimum.schedule.to_csv())
     record = {
         "tube": plant.model_dump(mode="json", exclude={"posterior"}) if plant else None,
         "calibrated": plant is not None and plant.posterior is not None,
-        "draws": len(seen.contexts),
+        "draws": len(case.contexts),
         "expected_reward": optimum.reward,
         "least_root_tension_n": optimum.tension,
     }
     write_json(output.with_suffix(".json"), record | origin())
     named = [f"{NAME}={output}"]
     if law:
-        feedback = recommended_law(seen.contexts, response, seen.config)
+        feedback = optimal_law(case.contexts, response, case.config)
         write_atomically(law, feedback.model_dump_json(indent=1))
         named.append(f"{LAW}={law}")
+    seconds = np.trapezoid(1.0 / np.array(optimum.schedule.feed_speed), optimum.schedule.position)
     print(
-        f"{output}: expected reward {optimum.reward:.1f} over {len(seen.contexts)} draws of what is known,"
-        f" root tension at least {optimum.tension:.2g} N in 95 % of them"
+        f"{output}: in your tubes about {seconds:.0f} s, expected reward {optimum.reward:.1f}"
+        f" ({len(case.contexts)} samples); drive safe: root tension above {optimum.tension:.2g} N in {CONFIDENCE:.0%}"
     )
     if confirmation:
-        print(f"simulated on {len(unseen.contexts)} other draws at {confirmation.fidelity}:")
-        plan = plan_of((*named, *specs), unseen, 1, confirmation.fidelity)
-        own = [name_and_spec(spec)[0] for spec in confirmation.own] or [NAME]  # judged in the report's first line
-        evaluate_plan(plan, confirmation.folder, against=NAME, workers=workers, own=own)
+        print(f"simulated in {len(test_case.contexts)} other samples at {confirmation.fidelity}:")
+        plan = plan_of((*named, *specs), test_case, 1, confirmation.fidelity)
+        names = [name_and_spec(spec)[0] for spec in confirmation.schedules] or [NAME]  # for the report's first line
+        evaluate_plan(plan, confirmation.folder, against=NAME, workers=workers, own=names)
     return optimum
 
 
-def recommended(tubes: Sequence[Context], response: Response, config: TaskConfig) -> Optimum:
-    """The schedule with the best mean expected reward over some tubes, which are equally likely.
+def optimal_schedule(tubes: Sequence[Context], response: Response, config: TaskConfig) -> Optimum:
+    """The schedule with the best mean expected reward over equally likely tubes.
 
     Raises:
-        ValueError: the response does not have the task's vibration measure, or no air of the range keeps the drive.
+        ValueError: the response lacks the task's vibration measure, or no air in the range gives enough tension.
     """
     if config.vibration_measure not in MEASURES:
         problem = f"task.vibration_measure = {config.vibration_measure!r}"
-        raise ValueError(f"{problem}: recommendations know {' and '.join(MEASURES)}")
+        raise ValueError(f"{problem}: recommendations support {' and '.join(MEASURES)}")
     end = config.scene.tube.helix_length
-    places = np.unique(np.append(np.arange(FIRST, end, SPACING), end))
+    lengths = np.unique(np.append(np.arange(FIRST, end, SPACING), end))
     feed, air = _grid(config)
-    shape = len(places), len(feed)
-    metres = Metres(np.repeat(places, shape[1]), np.tile(feed, shape[0]), np.tile(air, shape[0]), {})
-    stands_for = np.gradient(places)
-    stands_for[[0, -1]] *= 0.5  # half a spacing at the ends
+    shape = len(lengths), len(feed)
+    metres = Metres(np.repeat(lengths, shape[1]), np.tile(feed, shape[0]), np.tile(air, shape[0]), {})
+    spacing = np.gradient(lengths)
+    spacing[[0, -1]] *= 0.5  # half a spacing at the ends
     cost = expected_costs(tubes, response, config, metres).mean(axis=0).reshape(shape)
-    taut = np.quantile(tensions(tubes, config, metres), 1.0 - SURE, axis=0).reshape(shape)
-    too_slack = slack(config, taut / MARGIN, places[:, None])
+    tension = np.quantile(tensions(tubes, config, metres), 1.0 - CONFIDENCE, axis=0).reshape(shape)
+    too_slack = slack(config, tension / MARGIN, lengths[:, None])
     hopeless = too_slack.all(axis=1)
     if hopeless.any():
-        at = f"{taut[hopeless][0].max():.3g} N of root tension at {places[hopeless][0]:g} m in {SURE:.0%} of the draws"
+        at = f"{tension[hopeless][0].max():.3g} N at {lengths[hopeless][0]:g} m in {CONFIDENCE:.0%} of the samples"
         needed = f"{MARGIN * config.required_tension:g} N are needed ({MARGIN:g} times required_tension)"
-        problem = f"air_supply_rates = {config.air_supply_rates!r} m3/s: even the most keeps only"
+        problem = f"air_supply_rates = {config.air_supply_rates!r} m3/s: the most air gives a root tension of only"
         raise ValueError(f"{problem} {at}, and {needed}")
     logarithm, share = np.log(feed), share_between(air, config.air_supply_rates)
-    change = SMOOTH * ((logarithm[:, None] - logarithm) ** 2 + (share[:, None] - share) ** 2)
-    path = cheapest_path(np.where(too_slack, np.inf, cost * stands_for[:, None]), change)
-    position, feeds_of, airs_of = (tuple(values.tolist()) for values in (places, feed[path], air[path]))
+    change = CHANGE_WEIGHT * ((logarithm[:, None] - logarithm) ** 2 + (share[:, None] - share) ** 2)
+    path = cheapest_path(np.where(too_slack, np.inf, cost * spacing[:, None]), change)
+    position, feeds_of, airs_of = (tuple(values.tolist()) for values in (lengths, feed[path], air[path]))
     schedule = Schedule("inserted_length", "linear", position, feeds_of, airs_of)
     on_path = range(len(path)), path
-    gained = float((metre_reward(config, cost) * stands_for[:, None])[on_path].sum())
-    return Optimum(schedule, gained, float(taut[on_path][drive_counts(config, places)].min(initial=np.inf)))
+    reward = float((metre_reward(config, cost) * spacing[:, None])[on_path].sum())
+    return Optimum(schedule, reward, float(tension[on_path][drive_counts(config, lengths)].min(initial=np.inf)))
 
 
-def recommended_law(tubes: Sequence[Context], response: Response, config: TaskConfig) -> Law:
+def optimal_law(tubes: Sequence[Context], response: Response, config: TaskConfig) -> Law:
     """A feedback law: the recommended schedule for each of ``FRICTIONS`` in the range of the tubes; same errors."""
     values = {name: [getattr(tube, name) for tube in tubes] for name in Context.model_fields}
     ranges = {name: (min(v), max(v)) for name, v in values.items()}
     least, most = ranges["friction"]
     inside = [mu for mu in FRICTIONS if least - STEP < mu < most + STEP]
     tables: list[OfDiameter] = []
-    places: tuple[float, ...] = ()
+    lengths: tuple[float, ...] = ()
     for diameter in dict.fromkeys(tube.helix_diameter for tube in tubes):
-        alike = [tube for tube in tubes if tube.helix_diameter == diameter][:OF_A_LAW]
-        drawn = ([tube.model_copy(update={"friction": mu}) for tube in alike] for mu in inside)
-        rows = [recommended(contexts, response, config).schedule for contexts in drawn]
-        places = rows[0].position
+        samples = [tube for tube in tubes if tube.helix_diameter == diameter][:DRAWS_PER_ROW]
+        contexts_by_friction = ([tube.model_copy(update={"friction": mu}) for tube in samples] for mu in inside)
+        rows = [optimal_schedule(contexts, response, config).schedule for contexts in contexts_by_friction]
+        lengths = rows[0].position
         columns = {name: tuple(getattr(row, name) for row in rows) for name in ("feed_speed", "air_supply_rate")}
         tables.append(OfDiameter(helix_diameter=diameter, **columns))
-    return Law(scene=config.scene, ranges=ranges, friction=tuple(inside), inserted_length=places, tables=tuple(tables))
+    return Law(scene=config.scene, ranges=ranges, friction=tuple(inside), inserted_length=lengths, tables=tuple(tables))
 
 
 def expected_costs(tubes: Sequence[Context], response: Response, config: TaskConfig, metres: Metres) -> FloatArray:
-    """(tubes, m) expected cost of each metre in each tube: vibration, time and air by the task's weights."""
+    """(tubes, m) expected cost of each metre in each tube: vibration, time and air, weighted as in the task."""
     column = CHANNELS.index(MEASURES[config.vibration_measure])
     plain = config.model_copy(update={"vibration_measure": "displacement", "vibration_limit": 1e-4})
     costs = []
@@ -212,8 +213,8 @@ def tensions(tubes: Sequence[Context], config: TaskConfig, metres: Metres) -> Fl
     return np.array(rows)
 
 
-def beyond(tubes: Sequence[Context], response: Response, config: TaskConfig) -> list[str]:
-    """What of a task's tubes is outside the training ranges of the response, one text each."""
+def outside_training(tubes: Sequence[Context], response: Response, config: TaskConfig) -> list[str]:
+    """Texts for everything in a task and its tubes that is outside the training ranges of the response."""
     nothing, lines = np.zeros(0), dict[str, None]()
     for tube in {tube.helix_diameter: tube for tube in tubes}.values():
         lines |= dict.fromkeys(response.outside(Metres(nothing, nothing, nothing, {}), _scene_in(tube, config)))
@@ -236,7 +237,7 @@ def _table(tube: Context, scene: Scene) -> FloatArray:
 
 
 def _grid(config: TaskConfig) -> tuple[FloatArray, FloatArray]:
-    """(g,) feeds and airs that the device can be set to."""
+    """(g,) settings of feed and air, in steps of the device."""
     targets = []
     for values, step, (low, high) in (
         (np.geomspace(*feeds(config), FEEDS), config.feed_speed_step, config.feed_speeds),
@@ -250,7 +251,7 @@ def _grid(config: TaskConfig) -> tuple[FloatArray, FloatArray]:
 
 
 def cheapest_path(staged: FloatArray, change: FloatArray) -> list[int]:
-    """Points of the grid, one per place, with the smallest sum of costs (places, g) and of changes (g, g): Bellman."""
+    """Grid points, one per length, with the smallest sum of costs (lengths, g) and of changes (g, g): Bellman."""
     total, came_from = staged[0], []
     for costs in staged[1:]:
         through = total[:, None] + change
@@ -264,51 +265,50 @@ def cheapest_path(staged: FloatArray, change: FloatArray) -> list[int]:
 
 
 def safe_air(config: TaskConfig, tubes: Sequence[Context], feeds: tuple[float, float]) -> tuple[float, float]:
-    """The least air for insertion and the most for withdrawal [m3/h]: whole ones, or the device's own steps.
+    """Least air for insertion and most for withdrawal [m3/h]: whole numbers, or steps of the device.
 
-    Enough air pulls the probe in; too much buckles the cable on withdrawal. The closed forms of steady sliding know
-    neither vibration nor changes of feed and air, hence ``MARGIN``.
+    Too little air loses the drive; too much buckles the cable in the withdrawal. ``MARGIN`` is for vibration.
 
     Args:
-        config: the task: range of the air, required tension, probe and bore.
-        tubes: all of them.
-        feeds: slowest and fastest feed [m/s]; the fastest is pulled least, the slowest compressed most.
+        config: task: range of the air, required tension, probe and bore.
+        tubes: tubes in all of which the air must be safe.
+        feeds: slowest and fastest feed [m/s]; the fastest has the least tension, the slowest the most compression.
 
     Raises:
-        ValueError: no air of the range is safe.
+        ValueError: no air in the range is safe.
     """
     slowest, fastest = feeds
     least, most = (3600.0 * air for air in config.air_supply_rates)
     whole = np.append(np.arange(math.ceil(least), most), (least, most)) / 3600.0
-    # bounds are what the device gives, so that no air between them is rounded beyond them
+    # bounds in steps of the device, so that no air between them is rounded to a value outside
     airs = np.unique(np.round(3600.0 * config.feasible(np.full_like(whole, fastest), whole)[:, 1], 9))
-    pulls, enough = pulled(config, tubes, airs, fastest), MARGIN * config.required_tension
+    pulls, enough = least_root_tension(config, tubes, airs, fastest), MARGIN * config.required_tension
     if not (pulls >= enough).any():
-        problem = f"air_supply_rates up to {most:.4g} m3/h: even the most pulls with {pulls.max():.3g} N only"
+        problem = f"air_supply_rates up to {most:.4g} m3/h: the most air pulls with only {pulls.max():.3g} N"
         needed = f"{enough:.3g} N are needed ({MARGIN:g} times required_tension)"
-        raise ValueError(f"{problem} where it pulls least, and {needed}")
-    bearable = buckling_load(config.scene.probe) / MARGIN
-    borne = min(bisect_right(airs, bearable, key=partial(pressed, config, tube, feed=slowest)) for tube in tubes)
-    if borne == 0:
-        greatest = max(pressed(config, tube, airs[0], slowest) for tube in tubes)
-        problem = (
-            f"air_supply_rates from {least:.4g} m3/h: even the least presses with {greatest:.3g} N on the way back"
-        )
-        limit = f"{bearable:.3g} N between two floats (its buckling load over {MARGIN:g})"
-        raise ValueError(f"{problem}, and the cable bears {limit}")
-    return float(airs[pulls >= enough].min()), float(airs[borne - 1])
+        raise ValueError(f"{problem} in the worst tube, and {needed}")
+    safe_load = buckling_load(config.scene.probe) / MARGIN
+    safe_count = min(
+        bisect_right(airs, safe_load, key=partial(root_compression, config, tube, feed=slowest)) for tube in tubes
+    )
+    if safe_count == 0:
+        greatest = max(root_compression(config, tube, airs[0], slowest) for tube in tubes)
+        problem = f"air_supply_rates from {least:.4g} m3/h: the least air compresses with {greatest:.3g} N"
+        limit = f"{safe_load:.3g} N (buckling load between two floats over {MARGIN:g})"
+        raise ValueError(f"{problem}; the limit is {limit}")
+    return float(airs[pulls >= enough].min()), float(airs[safe_count - 1])
 
 
-def pulled(config: TaskConfig, tubes: Sequence[Context], airs: FloatArray, feed: float) -> FloatArray:
-    """(a,) smallest root tension of the insertion [N] over tubes and lengths at which the drive counts, by air."""
-    lengths = np.linspace(FIRST, config.scene.tube.helix_length, SAFE_PLACES)
+def least_root_tension(config: TaskConfig, tubes: Sequence[Context], airs: FloatArray, feed: float) -> FloatArray:
+    """(a,) smallest root tension of an insertion [N] over tubes and lengths at which lost drive is scored, by air."""
+    lengths = np.linspace(FIRST, config.scene.tube.helix_length, SAFE_LENGTHS)
     lengths = lengths[drive_counts(config, lengths)]
     air, length = np.repeat(airs / 3600.0, len(lengths)), np.tile(lengths, len(airs))
     tension = tensions(tubes, config, Metres(length, np.full(len(length), feed), air, {}))
     return np.asarray(tension.min(axis=0).reshape(len(airs), -1).min(axis=1, initial=np.inf))
 
 
-def pressed(config: TaskConfig, tube: Context, air: float, feed: float) -> float:
+def root_compression(config: TaskConfig, tube: Context, air: float, feed: float) -> float:
     """Root compression on withdrawal [N] with all of the cable inserted; it grows with the air [m3/h]."""
     scene = config.scene
     drawn = {

@@ -1,8 +1,7 @@
 """Expected measurements per metre of insertion: a small network of feed, air, tube and unknown parameters.
 
-It is trained on simulated insertions. It predicts the root tension relative to the closed form of steady sliding, and
-the other channels as they are, with their scatter and its correlation over metres and channels: the motion is chaotic,
-so a log is judged by that scatter.
+Trained on simulated insertions. It predicts the root tension relative to steady sliding, the other channels directly,
+with their scatter (the motion is chaotic) and its correlation over metres and channels.
 """
 
 from __future__ import annotations
@@ -28,17 +27,17 @@ from probe_env.physics.model.chain import air_speed
 STORED: Final = Path(__file__).parent / "data" / "response.npz"
 CHANNELS: Final = MEASURED
 RESTART: Final = 3.0
-"""Time after a standstill that is left out [s]: the probe accelerates, it does not slide."""
+"""Time after a standstill that is ignored [s]: the probe accelerates."""
 LEAST_FED: Final = 0.5
-"""Share of a metre that must have been fed for the metre to count."""
+"""Least share of a metre with feed; other metres are ignored."""
 FLOORS: Final = np.array([1e-2, 0.1, 0.4, 2e-6])
 """Resolution of each channel in SI units, added as root of squares (the tension is clipped).
 
-Found on 48 simulated logs at ``standard``. With a response learnt at ``fast``, which shows twice the unrest of feeding,
-those of the accelerations had to be five times as high."""
+Found on 48 simulated logs at ``standard``. A response trained at ``fast``, with twice the vibration
+from feeding, needs five times the values for the accelerations."""
 INPUTS: Final = 10
 LAYERS: Final = 3
-FAREST: Final = 10.0
+MAX_DEVIATION: Final = 10.0
 """Deviations are clipped here in misfits [standard deviations]."""
 FRICTION, STIFFNESS, DRAG, DAMPING = range(4)
 """Columns of tables of unknowns, in the order of ``prior.UNKNOWNS``."""
@@ -53,41 +52,43 @@ SHAPES: Final = {
 
 @dataclass(frozen=True, eq=False)
 class Metres:
-    """Means of a log over the metres of inserted length in which the probe was fed, (m,) each."""
+    """Means of a log over each metre of inserted length with feed, (m,) each."""
 
     length: FloatArray  # inserted, at their middle [m]
     feed: FloatArray  # [m/s]
     air: FloatArray  # [m3/s]
-    felt: dict[str, FloatArray]  # channel -> mean tension [N], rms of accelerations [m/s2], noise [m]
+    measured: dict[str, FloatArray]  # channel -> mean tension [N], rms of accelerations [m/s2], noise [m]
 
     def __len__(self) -> int:
         return len(self.length)
 
 
 def metres_of(log: Log) -> Metres:
-    """Metres of a log: means over time, root mean squares for rms channels.
+    """Average a log over metres: means over time, root mean squares for rms channels.
 
-    Standstills and the following ``RESTART`` are left out, and metres of which less than ``LEAST_FED`` was fed.
+    Standstills, the following ``RESTART`` and metres with a share of feed below ``LEAST_FED`` are ignored.
     """
-    felt = [name for name in CHANNELS if name in log.measured]
+    names = [name for name in CHANNELS if name in log.measured]
     lasts = np.diff(log.time, append=log.time[-1] + (log.time[-1] - log.time[-2] if len(log.time) > 1 else 1.0))
     stood = np.where(log.feed_speed <= 0.0, log.time + lasts, -np.inf)
     since = log.time - np.maximum.accumulate(stood)
     fed = log.feed_speed * lasts
     good = (log.feed_speed > 0.0) & (since >= RESTART)
     metre = np.floor(log.inserted_length + 0.5 * fed).astype(int)[good]
-    first = int(metre.min(initial=0))  # no metre may be fed
+    first = int(metre.min(initial=0))  # there may be no metre with feed
     seconds = np.bincount(metre - first, lasts[good])
     through = np.bincount(metre - first, fed[good])
-    kept = through >= LEAST_FED
+    complete = through >= LEAST_FED
 
     def mean(values: FloatArray, rms: bool = False) -> FloatArray:
-        weighed = np.bincount(metre - first, lasts[good] * values[good] ** (2 if rms else 1))[kept] / seconds[kept]
+        weighed = (
+            np.bincount(metre - first, lasts[good] * values[good] ** (2 if rms else 1))[complete] / seconds[complete]
+        )
         return np.asarray(np.sqrt(weighed) if rms else weighed)
 
-    length = np.arange(first, first + len(kept))[kept] + 0.5
-    means = {name: mean(log.measured[name], QUANTITIES[name].rms) for name in felt}
-    return Metres(length, through[kept] / seconds[kept], mean(log.air_supply_rate), means)
+    length = np.arange(first, first + len(complete))[complete] + 0.5
+    means = {name: mean(log.measured[name], QUANTITIES[name].rms) for name in names}
+    return Metres(length, through[complete] / seconds[complete], mean(log.air_supply_rate), means)
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,7 +119,7 @@ class Response:
         Args:
             table: (n, 4) friction, contact stiffness [N/m], drag coefficient, damping time [s].
             metres: m metres.
-            scene: tube, probe and air, apart from what ``table`` holds.
+            scene: tube, probe and air, except for the values in ``table``.
         """
         inputs, tension = inputs_of(table, metres, scene)
         values = (inputs - self.scaling[0]) / self.scaling[1]
@@ -131,7 +132,7 @@ class Response:
         return mean, np.exp(np.clip(spread, -6.0, 1.0))
 
     def outside(self, metres: Metres, scene: Scene) -> list[str]:
-        """What of a log is outside the training ranges, one text each."""
+        """Texts for everything in a log that is outside the training ranges."""
         texts = []
         named = (
             ("inserted length", metres.length, "m"),
@@ -143,9 +144,9 @@ class Response:
         for (name, values, unit), low, high in zip(named, *self.ranges, strict=True):
             if len(values) and (values.min() < low * (1.0 - 1e-3) or values.max() > high * (1.0 + 1e-3)):
                 texts.append(f"{name} {values.min():.4g} to {values.max():.4g} {unit}, beyond {low:.4g} to {high:.4g}")
-        standard, own = Scene().probe.model_dump(), scene.probe.model_dump()
-        others = [name for name in standard if name != "damping_time" and own[name] != standard[name]]
-        return texts + ([f"a probe of another {', '.join(others)}"] if others else [])
+        standard, probe = Scene().probe.model_dump(), scene.probe.model_dump()
+        others = [name for name in standard if name != "damping_time" and probe[name] != standard[name]]
+        return texts + ([f"probe with different {', '.join(others)}"] if others else [])
 
     def covariance(self, length: FloatArray, chosen: list[int]) -> FloatArray:
         """(m c, m c) of the standardised deviations of metres at inserted lengths (m,) [m], for some channels."""
@@ -154,21 +155,21 @@ class Response:
         part = np.ix_(chosen, chosen)
         return np.asarray(sum(np.kron(k, alike[part]) for k, alike in zip(kernels, self.alike, strict=True)))
 
-    def misfit_of(self, strays: FloatArray, length: FloatArray, chosen: list[int]) -> FloatArray:
+    def misfit_of(self, deviations: FloatArray, length: FloatArray, chosen: list[int]) -> FloatArray:
         """(c + 1,) mean squared decorrelated deviation of every channel, and of all; NaN for channels not chosen.
 
         Args:
-            strays: (m, c) deviations of the chosen channels [standard deviations].
+            deviations: (m, c) deviations of the chosen channels [standard deviations].
             length: (m,) [m].
             chosen: their indices.
         """
-        strays = np.clip(strays, -FAREST, FAREST)
+        deviations = np.clip(deviations, -MAX_DEVIATION, MAX_DEVIATION)
         misfit = np.full(len(CHANNELS) + 1, np.nan)
         for column, k in enumerate(chosen):
-            own = np.linalg.cholesky(self.covariance(length, [k]))
-            misfit[k] = (solve_triangular(own, strays[:, column], lower=True) ** 2).mean()
+            factor = np.linalg.cholesky(self.covariance(length, [k]))
+            misfit[k] = (solve_triangular(factor, deviations[:, column], lower=True) ** 2).mean()
         whole = np.linalg.cholesky(self.covariance(length, chosen))
-        misfit[-1] = (solve_triangular(whole, strays.ravel(), lower=True) ** 2).mean()
+        misfit[-1] = (solve_triangular(whole, deviations.ravel(), lower=True) ** 2).mean()
         return misfit
 
     @classmethod
@@ -177,7 +178,7 @@ class Response:
 
         Raises:
             FileNotFoundError: no such file.
-            FileError: other arrays than a response has.
+            FileError: arrays are missing or have a wrong shape.
         """
         arrays = read_arrays(path, lambda name: "f" if name in SHAPES or name[:-1] in ("weights", "biases") else "")
         sizes = [INPUTS]
@@ -185,10 +186,10 @@ class Response:
             weights, biases = (arrays.get(f"{part}{k}", np.zeros(())) for part in ("weights", "biases"))
             sizes.append(weights.shape[-1] if weights.ndim == 2 and k < LAYERS - 1 else 2 * len(CHANNELS))
             if weights.shape != (sizes[-2], sizes[-1]) or biases.shape != (sizes[-1],):
-                raise FileError(path, f"layer {k}: missing, or of another shape")
+                raise FileError(path, f"layer {k}: missing, or wrong shape")
         for name, shape in SHAPES.items():
             if name not in arrays or arrays[name].shape != shape:
-                raise FileError(path, f"{name}: missing, or of another shape than {shape}")
+                raise FileError(path, f"{name}: missing, or shape is not {shape}")
         layers = tuple((arrays[f"weights{k}"], arrays[f"biases{k}"]) for k in range(LAYERS))
         return cls(layers, **{name: arrays[name].astype(float) for name in SHAPES})
 
@@ -205,8 +206,8 @@ class Response:
 def steady_tension(friction: FloatArray, metres: Metres, scene: Scene) -> FloatArray:
     """Root tension (n, m) of steady sliding [N] for frictions (n, 1)."""
     diameter = np.full(len(metres), scene.tube.helix_diameter)
-    seen = {"inserted_length": metres.length, "feed_speed": metres.feed, "air_supply_rate": metres.air}
-    return sliding_tension(friction, seen | {"helix_diameter": diameter}, scene)
+    observation = {"inserted_length": metres.length, "feed_speed": metres.feed, "air_supply_rate": metres.air}
+    return sliding_tension(friction, observation | {"helix_diameter": diameter}, scene)
 
 
 def inputs_of(table: FloatArray, metres: Metres, scene: Scene) -> tuple[FloatArray, FloatArray]:
@@ -230,10 +231,10 @@ def inputs_of(table: FloatArray, metres: Metres, scene: Scene) -> tuple[FloatArr
 
 
 def observed(metres: Metres, chosen: list[int]) -> FloatArray:
-    """(m, c) decadic logarithm of some channels as they were measured."""
+    """(m, c) decadic logarithm of some measured channels."""
     columns = []
     for k in chosen:
-        values = metres.felt[CHANNELS[k]]
+        values = metres.measured[CHANNELS[k]]
         columns.append(np.log10(np.maximum(values, FLOORS[0]) if k == 0 else np.hypot(values, FLOORS[k])))
     return np.column_stack(columns)
 
@@ -250,5 +251,5 @@ def _room(scene: Scene) -> float:
 
 @lru_cache
 def stored_response() -> Response:
-    """The shipped one."""
+    """Load the shipped response."""
     return Response.load()

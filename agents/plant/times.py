@@ -1,4 +1,4 @@
-"""Cells of a column as seconds: timestamps, clocks across midnight, clocks with the day in another column."""
+"""Cells of a column as seconds: timestamps, clock times across midnight, clock times with a date column."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from probe_env.arrays import BoolArray, FloatArray
 
 MISSING: Final = r"(?i)^(?:|-+|n/?a|#n/?a|nan|null|none|nil|\?|#nv|#value!|#wert!|#div/0!)$"
 MORE_THAN_NUMBER: Final = r"\d[:\-]\d|\d\.\d+\.\d{4}"
-"""In a timestamp or a clock."""
+"""Pattern in a timestamp or a clock time."""
 DAY: Final = 86_400.0
 _FRACTION: Final = r"(?:[.,]\d+)?"
 _ISO: Final = rf"^\d{{4}}-\d\d-\d\d[T ]\d\d:\d\d(?::\d\d{_FRACTION})? ?(?:Z|[+-]\d\d(?::?\d\d)?)?$"
@@ -23,7 +23,7 @@ _CLOCK: Final = rf"^\d{{1,2}}:\d\d:\d\d{_FRACTION}$"
 _OF_A_DAY: Final = rf"^(?:[01]?\d|2[0-3]):[0-5]\d:[0-5]\d{_FRACTION}$"
 _DATE: Final = r"^(?:\d{4}-\d\d-\d\d|\d\d\.\d\d\.\d{4})$"
 _MIDNIGHT: Final = r"[T ]00:00(?::00(?:[.,]0+)?)?$"
-"""What sheets write after a date."""
+"""Time of day that sheets add to a date."""
 _LIKE: Final = "is not a time like the first: 2024-05-31T14:05:09.25, 14:05:09.25 or a number"
 
 
@@ -36,21 +36,21 @@ class CellError(ValueError):
 
 
 def check(cells: Any, good: BoolArray, problem: str) -> None:
-    """Raise CellError at the first of the cells (rows,) that is not good."""
+    """Raise CellError at the first cell (rows,) that is not ``good``."""
     if not good.all():
         row = int((~good).argmax())
         raise CellError(row, f"{cells[row].as_py()[:40]!r} {problem}")
 
 
 def matches(cells: Any, pattern: str) -> BoolArray:
-    """(rows,) whether a text has a pattern."""
+    """(rows,) whether a text matches a pattern."""
     return np.asarray(pc.match_substring_regex(cells, pattern))
 
 
-def dated(dates: Any, clocks: Any) -> Any:
-    """Trimmed clocks with the days of another column, as timestamps.
+def with_dates(dates: Any, clocks: Any) -> Any:
+    """Combine trimmed clock times and dates of another column to timestamps.
 
-    Timestamps, numbers and the clocks of a single day stay as they are: a clock shows when midnight is passed.
+    Timestamps, numbers and clock times of a single day are not changed: midnight is detected from the clock.
 
     Raises:
         CellError: not a date.
@@ -66,7 +66,7 @@ def dated(dates: Any, clocks: Any) -> Any:
 
 
 def seconds(cells: Any) -> FloatArray:
-    """Seconds (rows,) of trimmed timestamps or clocks, from any origin; NaN where missing.
+    """Seconds (rows,) of trimmed timestamps or clock times, from any origin; NaN if missing.
 
     Raises:
         CellError: not a time, or not like the first.
@@ -76,13 +76,13 @@ def seconds(cells: Any) -> FloatArray:
     if matches(cells, _CLOCK).any():
         check(cells, missing | matches(cells, _OF_A_DAY), _LIKE)
         clocks = np.where(missing, np.nan, pd.to_timedelta(texts.mask(missing)).dt.total_seconds())
-        known = clocks[~missing]
-        clocks[~missing] += DAY * np.cumsum(np.diff(known, prepend=known[0]) < -0.5 * DAY)  # midnights
+        present = clocks[~missing]
+        clocks[~missing] += DAY * np.cumsum(np.diff(present, prepend=present[0]) < -0.5 * DAY)  # midnights
         return clocks
     iso = pc.replace_substring_regex(cells, _GERMAN, r"\3-\2-\1T")
     check(cells, missing | matches(iso, _ISO), _LIKE)
     zoned = matches(iso, _ZONE)
-    mixed = "mixes times with a zone and times without: use one or the other"
+    mixed = "is mixed with the others: use times with a zone or times without"
     check(cells, missing | (zoned == zoned[~missing][0]), mixed)
     stamps = pd.to_datetime(
         pc.replace_substring(iso, ",", ".").to_pandas(), format="ISO8601", utc=True, errors="coerce"

@@ -1,7 +1,6 @@
-"""A trained agent as one safetensors file: weights, and a description of its network, view and task in the metadata.
+"""A trained agent as one safetensors file: weights, and metadata that describe its network, view and task.
 
-Loading builds the network from the validated description and fills in the weights; nothing in the file is executed. A
-zip file of Stable-Baselines3 holds a pickle, which can run any code, so commands take bundles alone.
+Loading runs no code of the file. A zip file of Stable-Baselines3 holds a pickle, which can run any code.
 """
 
 from __future__ import annotations
@@ -41,18 +40,18 @@ ALGORITHMS: Final[dict[Algorithm, tuple[Any, str]]] = {
     "recurrent-ppo": (RecurrentPPO, "MlpLstmPolicy"),
 }
 KNOWN: Final = ("net_arch", "log_std_init", "lstm_hidden_size", "ortho_init", "use_sde")
-"""Arguments of a policy that a bundle describes, or that change nothing after training."""
+"""Policy arguments that a bundle describes, or that have no effect after training."""
 MOST_WEIGHTS: Final = 1 << 24
-"""Weights between the hidden layers, so that what a file describes cannot fill the memory."""
+"""Limit of the weights between the hidden layers, so that a file cannot exhaust the memory."""
 LARGEST_WEIGHT: Final = 1e6
 SAME: Final = ("growing", "period")
-"""Fields of the task that must be those of training."""
+"""Task fields that must equal those of the training."""
 PREVIOUS: Final = {"feed_speeds": "previous_feed_action", "air_supply_rates": "previous_air_action"}
-"""Ranges that may be others, and the observation that is in their terms."""
+"""Ranges that may differ from the training -> observation that is scaled by them."""
 
 
 class Network(Model):
-    """Size of the policy's networks; ``lstm_hidden_size`` is for recurrent-ppo alone."""
+    """Size of the policy's networks; ``lstm_hidden_size`` applies to recurrent-ppo only."""
 
     net_arch: Annotated[tuple[Annotated[int, Field(ge=1, le=4096)], ...], Field(max_length=8)] = (64, 64)
     lstm_hidden_size: int = Field(default=64, ge=1, le=2048)
@@ -78,7 +77,7 @@ class Network(Model):
 
 
 class Description(Model):
-    """What a bundle says of itself."""
+    """Metadata of a bundle."""
 
     format: Literal[1] = 1
     algorithm: Algorithm
@@ -86,24 +85,24 @@ class Description(Model):
     view: View
     task: TaskConfig
     tubes: RangesOfTubes | None = None
-    """Ranges of the fields of ``Context`` that it was trained in; default: those of the shipped lists."""
+    """Ranges of the fields of ``Context`` in training; default: those of the shipped lists."""
     trained: dict[str, Any]
-    """Run that made it: config, seed, steps, versions, commit, machine."""
+    """Training run: config, seed, steps, versions, commit, machine."""
 
 
 class Agent:
-    """A trained policy with SB3's ``predict`` on the task's own observations; memory is in the state that it returns.
+    """A trained policy with SB3's ``predict`` on the observations of a task; memory is in the returned state.
 
-    Where a probe is drawn back, too, its feed is in the steps of the device that it was trained with.
+    In a task with withdrawal the feed is rounded to the steps of the feed device of the training.
 
     Args:
-        description: what it is.
+        description: metadata of the bundle.
         policy: SB3's policy with its weights.
-        config: the task that it acts in; may show more than the agent looks at.
-        hash: of the bundle, for ``describe``.
+        config: task that it acts in; it may have more observations than the agent uses.
+        hash: hash of the bundle, for ``describe``.
 
     Raises:
-        ValueError: the task does not show what the agent needs, or its actions mean something else there.
+        ValueError: the task lacks an observation of the agent, or its actions have another meaning.
     """
 
     def __init__(self, description: Description, policy: BasePolicy, config: TaskConfig, hash: str = "") -> None:
@@ -111,20 +110,20 @@ class Agent:
         for name in SAME:
             trained, here = getattr(description.task, name), getattr(config, name)
             if trained != here:
-                raise ValueError(f"{name} = {here!r} differs from {trained!r}, which the agent was trained with")
+                raise ValueError(f"{name} = {here!r} differs from {trained!r}, the value in training")
         others = [name for name in PREVIOUS if getattr(description.task, name) != getattr(config, name)]
         step = description.task.feed_speed_step
         self._feed_speed_step = step if config.returns and step != config.feed_speed_step else 0.0
         if others and description.view.guide is not None:
             trained, here = getattr(description.task, others[0]), getattr(config, others[0])
-            raise ValueError(f"{others[0]} = {here!r} differs from {trained!r}, in which the agent's guide acts")
+            raise ValueError(f"{others[0]} = {here!r} differs from {trained!r}, the range of the agent's guide")
         self._other_ranges = bool(others)
         self.description, self.policy, self.config, self.hash = description, policy, config, hash
         policy.set_training_mode(False)
 
     @property
     def domain(self) -> Domain:
-        """Tubes that it was trained in; an agent that sees which probe it feeds knows any."""
+        """Tubes of the training; any probe if the agent observes the probe."""
         made, scene = self.description, self.description.task.scene
         ranges = made.tubes or Domain.of_map(stored_map()).ranges
         any_probe = set(PROBE) <= set(made.view.observations)
@@ -137,9 +136,9 @@ class Agent:
         episode_start: npt.NDArray[np.bool_] | None = None,
         deterministic: bool = False,
     ) -> tuple[npt.NDArray[np.float32], tuple[Any, ...]]:
-        """Actions of the environment for observations (d,) or (N, d), and the state to give back next time."""
+        """Actions of the environment for observations (d,) or (N, d), and the state for the next call."""
         rows = np.atleast_2d(observation)
-        if self._other_ranges:  # previous actions as the task of the training says them
+        if self._other_ranges:  # previous actions in the ranges of the training
             rows, names = rows.copy(), list(self.config.observations)
             for name, column in PREVIOUS.items():
                 here, trained = getattr(self.config, name), getattr(self.description.task, name)
@@ -152,17 +151,17 @@ class Agent:
         actions, inner = self.policy.predict(features, inner, start, deterministic)
         applied = view.env_actions(self.description.task, actions, view.guided(features))
         if not np.isfinite(applied).all():
-            raise ValueError(f"the agent of bundle {self.hash or '(unsaved)'} acts with numbers that are not finite")
+            raise ValueError(f"the agent of bundle {self.hash or '(unsaved)'} returned actions that are not finite")
         if self._other_ranges:
             applied = self.config.actions(*self.description.task.targets(applied).T).astype(np.float32)
-        if self._feed_speed_step:  # a network's output varies all the time, and every change shakes a withdrawn probe
+        if self._feed_speed_step:  # every small change of the feed would excite vibration in a withdrawal
             feed, air = self.config.targets(applied).T
             feed = self._feed_speed_step * np.round(feed / self._feed_speed_step)
             applied = self.config.actions(feed, air).astype(np.float32)
         return (applied[0] if np.ndim(observation) == 1 else applied), (memory, inner)
 
     def describe(self) -> dict[str, Any]:
-        """Equal for equal agents."""
+        """JSON-ready description; equal for equal agents."""
         return {"policy": "Agent", "algorithm": self.description.algorithm, "bundle": self.hash}
 
 
@@ -176,12 +175,12 @@ def write_bundle(path: Path, description: Description, policy: BasePolicy) -> st
 
 
 def load_bundle(path: str | Path, config: TaskConfig | None = None) -> Agent:
-    """Read a bundle for a task (default: the one that it was trained in).
+    """Read a bundle for a task (default: the task of the training).
 
     Raises:
         FileNotFoundError: no such file.
         FileError: not a bundle, changed since it was written, of another format, or for another task. Pickles, such
-            as SB3's zip files hold, are refused and never executed.
+            as SB3's zip files, are refused and never executed.
     """
     path = Path(path)
     text, digest, weights = read_weights(path)
@@ -209,11 +208,11 @@ def load_bundle(path: str | Path, config: TaskConfig | None = None) -> Agent:
 
 
 def build_policy(description: Description, initialised: bool = True) -> BasePolicy:
-    """SB3's policy of a description, with new weights; ``initialised``: with those that training begins from."""
+    """Build SB3's policy of a description; ``initialised``: with the initial weights of training."""
     algorithm, name = ALGORITHMS[description.algorithm]
     arguments = description.network.arguments(description.algorithm)
     if not initialised and description.algorithm != "sac":
-        arguments["ortho_init"] = False  # which takes long for large networks
+        arguments["ortho_init"] = False  # slow for large networks
     if description.network.noise_interval:
         arguments["use_sde"] = True
     policy: BasePolicy = algorithm.policy_aliases[name](*description.view.spaces, lambda _: 0.0, **arguments)
@@ -228,29 +227,29 @@ def _hash(text: str, weights: Mapping[str, npt.NDArray[Any]]) -> str:
 
 
 def from_sb3(model: BaseAlgorithm, config: TaskConfig) -> Agent:
-    """A model of Stable-Baselines3 as a policy, in every task that shows what it was trained on.
+    """Make a policy of a Stable-Baselines3 model, for every task with the observations of its training.
 
     Args:
         model: trained on ``ProbeVecEnv(config=config)`` or an environment of that task, without wrappers that change
             observations or actions.
-        config: the task that it was trained in.
+        config: task of the training.
 
     Raises:
-        ValueError: the model is of another kind, or of other spaces than the task.
+        ValueError: another algorithm, or spaces that differ from the task's.
     """
     return Agent(_described(model, config), model.policy, config.full_observation)
 
 
 def save_bundle(path: str | Path, model: BaseAlgorithm, config: TaskConfig) -> str:
-    """Write a model as a bundle (.safetensors), which every command takes; returns its hash. See ``from_sb3``.
+    """Write a model as a bundle (.safetensors), which every command accepts; returns its hash. See ``from_sb3``.
 
     Raises:
-        ValueError: as ``from_sb3``, or the policy has arguments that a bundle does not describe.
+        ValueError: as ``from_sb3``, or the policy has arguments that a bundle cannot store.
     """
     unknown = sorted(set(model.policy_kwargs) - set(KNOWN))
     if unknown or isinstance(model.policy_kwargs.get("net_arch"), dict):
         what = ", ".join(unknown) or "net_arch with different networks"
-        raise ValueError(f"policy_kwargs: a bundle does not describe {what}")
+        raise ValueError(f"policy_kwargs: a bundle cannot store {what}")
     return write_bundle(Path(path), _described(model, config), model.policy)
 
 
@@ -265,7 +264,7 @@ def _described(model: BaseAlgorithm, config: TaskConfig) -> Description:
         if shape != needed.shape:
             raise ValueError(f"{name} of the model has shape {shape}; that of the task is {needed.shape}")
     if isinstance(model.get_env(), VecNormalize):
-        raise ValueError("model was trained with VecNormalize, whose statistics a policy alone does not have")
+        raise ValueError("model was trained with VecNormalize; a bundle cannot store its statistics")
     sizes = {name: value for name, value in model.policy_kwargs.items() if name == "log_std_init"}
     memory = getattr(model.policy, "lstm_actor", None)
     if memory is not None:

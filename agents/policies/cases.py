@@ -1,4 +1,4 @@
-"""Evaluation cases: task, tubes and vibration map of a plant, or of table 2 with the shipped lists of tubes."""
+"""Evaluation cases: task, tubes and vibration map of a plant, or of the study's table 2 with the shipped tubes."""
 
 from __future__ import annotations
 
@@ -43,13 +43,13 @@ class EvaluationCase(NamedTuple):
 
 
 def case_of(plant: Plant | None, split: Split, limit: int = 0, vibration: VibrationMap | None = None) -> EvaluationCase:
-    """A shipped list of tubes, or as many tubes sampled from the ranges of a plant, others for each list.
+    """The case of a shipped list of tubes, or of as many tubes sampled from a plant's ranges; each list has its own.
 
     Args:
         plant: the plant; None: table 2's, in the shipped lists.
-        split: which list.
-        limit: number of tubes, the first of the list; 0: all.
-        vibration: the map; default: the shipped one.
+        split: "train", "validation" or "test".
+        limit: number of tubes, from the start of the list; 0: all.
+        vibration: vibration map; default: the shipped one.
 
     Raises:
         ValueError: no such list, or a limit out of range.
@@ -63,20 +63,20 @@ def case_of(plant: Plant | None, split: Split, limit: int = 0, vibration: Vibrat
 
 
 def plant_at(tube: Path | None) -> Plant | None:
-    """A plant by its file, or by the name of one that ships.
+    """Read a plant by its file, or by the name of a shipped one; None for None.
 
     Raises:
-        FileNotFoundError: neither.
+        FileNotFoundError: no such file or name.
         ValueError: the file is not valid.
     """
     return None if tube is None else Plant.from_toml(file_or_shipped("tubes", tube))
 
 
 def map_of(tube: Path | None, plant: Plant | None) -> VibrationMap:
-    """The map beside a plant's file, where there is one, else the shipped one.
+    """Read the vibration map next to a plant's file; the shipped map if there is none.
 
     Raises:
-        FileError: the map is damaged, or of another bore, length, probe or air than the file now says.
+        FileError: the map is damaged, or its bore, length, probe or air differ from the file.
     """
     if tube is None or plant is None:
         return stored_map()
@@ -88,7 +88,7 @@ def map_of(tube: Path | None, plant: Plant | None) -> VibrationMap:
 
 
 def with_probe(config: TaskConfig, name: str) -> TaskConfig:
-    """The task with a probe of ``configs/design/``, its floats cut to what fits the bore, its cable to the helix.
+    """The task with a probe of ``configs/design/``; floats are limited by the bore, the cable by the helix.
 
     Raises:
         FileNotFoundError: no such design.
@@ -101,8 +101,8 @@ def with_probe(config: TaskConfig, name: str) -> TaskConfig:
     return config.model_copy(update={"scene": {"probe": probe, "carrier_length": carrier}})
 
 
-def both_ways(case: EvaluationCase, inspects: str) -> EvaluationCase:
-    """The same case with a task of both passes and twice the time; ``inspects`` as in ``TaskConfig``."""
+def round_trip(case: EvaluationCase, inspects: str) -> EvaluationCase:
+    """The case with insertion and withdrawal and twice the time limit; ``inspects`` as in ``TaskConfig``."""
     update = {"passes": "both", "inspects": inspects, "time_limit": 2.0 * case.config.time_limit}
     return case._replace(config=case.config.model_copy(update=update))
 
@@ -114,14 +114,14 @@ def load_case(
     passes: Literal["in", "both"] | None = None,
     inspects: Literal["in", "back", "best"] | None = None,
 ) -> EvaluationCase:
-    """The task, tubes and map of a plant, or of the shipped lists, for the passes to be made.
+    """The case of a plant, or of the shipped lists.
 
     Args:
         tube: file or name of a plant; None: the shipped lists.
-        split: which tubes.
-        limit: number of tubes, the first of the list; 0: all.
-        passes: "in" or "both"; default: what the plant's file says.
-        inspects: the pass that is scored with both passes; default: what the file says, or the better one.
+        split: "train", "validation" or "test".
+        limit: number of tubes, from the start of the list; 0: all.
+        passes: "in" or "both"; default: as in the plant's file.
+        inspects: pass that is scored if passes = "both"; default: as in the file, or the better one.
 
     Raises:
         FileNotFoundError: no such file.
@@ -136,9 +136,9 @@ def load_case(
         case = case._replace(tube=Named(name, digest, f"{name} (bore {bore:g} mm, helix {length:g} m)"))
     if (passes or case.config.passes) == "in":
         if inspects:
-            raise ValueError(f"inspects = {inspects!r} needs --passes both: the probe is not drawn back")
+            raise ValueError(f"inspects = {inspects!r} needs --passes both: without it there is no withdrawal")
         return case._replace(config=case.config.model_copy(update={"passes": "in"}))
     if not case.config.returns:
-        return both_ways(case, inspects or "best")
+        return round_trip(case, inspects or "best")
     update = {"inspects": inspects} if inspects else {}
     return case._replace(config=case.config.model_copy(update=update))

@@ -11,12 +11,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from agents.policies.fixed import BUILT_IN, Replayed, Scheduled
-from agents.policies.law import Law, Lawful
+from agents.policies.law import Law, LawPolicy
 from agents.policies.on_map import MAP_POLICIES, ByDiameter
 from agents.policies.planner import INSPECTION_PLANNERS, PLANNERS, InsertionPlanner, InspectionPlanner
-from agents.policies.plc_law import PlcLaw, TrimmedLaw
+from agents.policies.plc_law import PlcIntegral, PlcProportional
 from agents.policies.policy import Domain, Policy
-from agents.policies.wrappers import PREFIX, BothWays, Shielded, fastest_back, way_in
+from agents.policies.wrappers import PREFIX, RoundTripPolicy, Shielded, fastest_withdrawal, insertion_task
 from agents.records.shipped import agent_file, policy_file, shipped_agents, shipped_names, ships
 from agents.terminal.names import checked_name, name_of
 from probe_env.envs.task import TaskConfig
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 DATA: Final = Path(__file__).parent / "data"
 STORED: Final = ("best-constant", "best-schedule")
 """Schedules found by ``probe-env study best-schedules``, in ``agents/policies/data/``."""
-LAWS: Final[dict[str, type[PlcLaw]]] = {"plc-proportional": PlcLaw, "plc-integral": TrimmedLaw}
+LAWS: Final[dict[str, type[PlcProportional]]] = {"plc-proportional": PlcProportional, "plc-integral": PlcIntegral}
 OLD_NAMES: Final = {"plc-law": "plc-proportional", "trimmed-law": "plc-integral"}
 """Names before version 0.1.0, which stored results have, and are still accepted."""
 BY_DIAMETER: Final = "best-schedule-by-diameter"
@@ -42,17 +42,17 @@ CLASS: Final = re.compile(r"(?P<module>[A-Za-z_][\w.]*):(?P<name>[A-Za-z_]\w*)")
 def named_policies(
     specs: Sequence[str], config: TaskConfig, vibration: VibrationMap | None = None, classes: bool = False
 ) -> dict[str, Policy]:
-    """Policies by their names in tables: from "NAME=SPEC", or the name, file name or class name in the spec.
+    """Make policies from "NAME=SPEC" or "SPEC"; the keys are their names in tables.
 
     Raises:
-        ValueError: no policy, a name twice or not valid, or as ``make_policy``.
+        ValueError: no policy, a duplicate or invalid name, or as ``make_policy``.
     """
     pairs = [name_and_spec(spec) for spec in specs]
     names = [name for name, _ in pairs]
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice or not names:
         raise ValueError(
-            f"policies = {', '.join(specs) or 'none'}: at least one is needed, and no name twice"
+            f"policies = {', '.join(specs) or 'none'}: at least one is needed, and names must differ"
             + (f" ({', '.join(twice)}); NAME=FILE gives a name" if twice else "")
         )
     return {
@@ -62,7 +62,7 @@ def named_policies(
 
 
 def name_and_spec(argument: str) -> tuple[str, str]:
-    """Name and spec of a policy argument; an existing file wins, whatever characters its name has."""
+    """Split a policy argument into name and spec; an existing file has priority, even with "=" in its name."""
     if argument.startswith(PREFIX):
         name, spec = name_and_spec(argument.removeprefix(PREFIX))
         return f"shielded-{name}", PREFIX + spec
@@ -84,8 +84,8 @@ def _is_file(spec: str) -> bool:
     return path.suffix in (".csv", ".toml", ".json", ".safetensors") and path.exists()
 
 
-def own_policies(specs: Sequence[str]) -> list[str]:
-    """Names of the user's own policies: classes, and files except for agents that ship."""
+def user_policies(specs: Sequence[str]) -> list[str]:
+    """Names of the user's policies: classes, and files other than shipped agents."""
     pairs = [(name, spec.removeprefix(PREFIX)) for name, spec in map(name_and_spec, specs)]
     return [
         name
@@ -95,27 +95,27 @@ def own_policies(specs: Sequence[str]) -> list[str]:
 
 
 def make_policy(spec: str, config: TaskConfig, vibration: VibrationMap | None = None, classes: bool = False) -> Policy:
-    """A policy by name, from a schedule (.csv, .toml), feedback law (.json), agent's bundle (.safetensors) or class.
+    """Make a policy from a name, schedule (.csv, .toml), feedback law (.json), bundle (.safetensors) or class.
 
-    Trained agents that ship are called NAME, which is training seed 0, or NAME@SEED. "shielded:" before a name or file
-    keeps a margin of drive. In a task of both passes agents that were trained in one act on both; other policies are
-    for the insertion, and the withdrawal is in a schedule file's own columns, or as fast as possible.
+    Shipped agents are NAME (training seed 0) or NAME@SEED. "shielded:" before a name or file adds the shield. In a task
+    with withdrawal, agents that were trained in one act on both passes. Other policies act on the insertion; the
+    withdrawal follows the columns of the schedule file, or is as fast as possible.
 
     Args:
-        spec: name, file or "module:Class", a class that is called with the task and makes a ``Policy``.
-        config: the task.
-        vibration: the map of policies that need one; default: the shipped one.
-        classes: accept "module:Class", which imports code; False for specs that are read from a file.
+        spec: name, file or "module:Class"; ``Class(config)`` must return a ``Policy``.
+        config: task.
+        vibration: vibration map; default: the shipped one.
+        classes: accept "module:Class", which imports code; False for specs from a file.
 
     Raises:
         ValueError: no such policy, or the file or class is not valid, or an agent does not fit the task.
         FileNotFoundError: no such file.
     """
     if config.returns:
-        return _both_ways(spec, config, vibration, classes)
+        return _round_trip(spec, config, vibration, classes)
     if spec.startswith(PREFIX):
         if spec.removeprefix(PREFIX) in PLANNERS:
-            raise ValueError(f"policy = {spec!r}: the shield is for what goes by observations; a planner looks ahead")
+            raise ValueError(f"policy = {spec!r}: the shield needs a policy that acts on observations, not a planner")
         return Shielded(config, make_policy(spec.removeprefix(PREFIX), config, vibration, classes))
     spec = policy_file(OLD_NAMES.get(spec, spec))
     suffix = Path(spec).suffix
@@ -138,12 +138,12 @@ def make_policy(spec: str, config: TaskConfig, vibration: VibrationMap | None = 
         _warn_of_limits(spec, schedule, config)
         return (Replayed if schedule.over == "time" else Scheduled)(config, schedule)
     if suffix == ".json":
-        return Lawful(config, law=Law.read(spec))
+        return LawPolicy(config, law=Law.read(spec))
     if suffix == ".safetensors":
         return _agent(spec, config)
     if custom := CLASS.fullmatch(spec):
         if not classes:
-            raise ValueError(f"policy = {spec!r}: a class imports code, and a file may not ask for that")
+            raise ValueError(f"policy = {spec!r}: a class imports code, which specs from a file must not do")
         return _custom(config, **custom.groupdict())
     names = (*NAMES, *shipped_agents(), *shipped_names("schedules"))
     similar = ", ".join(difflib.get_close_matches(spec, names))
@@ -168,28 +168,29 @@ def _custom(config: TaskConfig, module: str, name: str) -> Policy:
     try:
         return kind(config)  # type: ignore[no-any-return]
     except Exception as error:
-        raise ValueError(f"policy = {spec!r} cannot be made for the task ({_reason(error)})") from error
+        raise ValueError(f"policy = {spec!r} cannot be created for the task ({_reason(error)})") from error
 
 
 def _reason(error: Exception) -> str:
     return f"{type(error).__name__}: {one_line(str(error))}"
 
 
-def _both_ways(spec: str, config: TaskConfig, vibration: VibrationMap | None, classes: bool) -> Policy:
+def _round_trip(spec: str, config: TaskConfig, vibration: VibrationMap | None, classes: bool) -> Policy:
     if spec in INSPECTION_PLANNERS:
         return InspectionPlanner(config, **INSPECTION_PLANNERS[spec])
     if spec in PLANNERS:
         names = ", ".join(INSPECTION_PLANNERS)
-        raise ValueError(f"policy = {spec!r} looks ahead on the way in alone; planners of both ways are {names}")
+        raise ValueError(f"policy = {spec!r} plans the insertion only; planners for --passes both: {names}")
     file = Path(policy_file(spec.removeprefix(PREFIX)))
     if file.suffix == ".safetensors" and _agent(file).config.returns:
         if spec.startswith(PREFIX):
-            raise ValueError(f"policy = {spec!r}: the shield is for the way in, and this agent acts both ways")
+            raise ValueError(f"policy = {spec!r}: the shield acts on the insertion only, this agent on both passes")
         return _agent(file, config)
     back = Schedule.read_back(file) if file.suffix in (".csv", ".toml") else None
     if back is not None:
-        _warn_of_limits(f"{spec}, way back", back, config)
-    return BothWays(config, make_policy(spec, way_in(config), vibration, classes), back or fastest_back(config))
+        _warn_of_limits(f"{spec}, withdrawal", back, config)
+    insertion = make_policy(spec, insertion_task(config), vibration, classes)
+    return RoundTripPolicy(config, insertion, back or fastest_withdrawal(config))
 
 
 def _agent(file: str | Path, config: TaskConfig | None = None) -> Agent:
@@ -218,7 +219,7 @@ def _warn_of_limits(spec: str, schedule: Schedule, config: TaskConfig) -> None:
             continue
         if min(values) < low * (1.0 - 1e-6) or max(values) > high * (1.0 + 1e-6):
             warnings.warn(
-                f"{spec}: {name} of {min(values) * factor:g} to {max(values) * factor:g} {unit} goes beyond what the"
-                f" task gives, {low * factor:g} to {high * factor:g} {unit}: the nearest of these is taken",
-                stacklevel=2,  # one place, whoever asks: told once
+                f"{spec}: {name} of {min(values) * factor:g} to {max(values) * factor:g} {unit} is outside the"
+                f" task's range {low * factor:g} to {high * factor:g} {unit}: it is clipped",
+                stacklevel=2,  # the same line for all callers, so that Python shows the warning once
             )

@@ -24,7 +24,7 @@ NEEDED: Final = {
     "root_tension": "the root tension (observe_root_tension = true)",
     "friction": "the tube (privileged = true)",
 }
-"""Observations that not every task shows."""
+"""Observations that a task may lack -> text for errors."""
 
 
 def gain(config: TaskConfig, seconds: float) -> float:
@@ -34,21 +34,21 @@ def gain(config: TaskConfig, seconds: float) -> float:
 
 @dataclass
 class FixedPolicy(ABC):
-    """Base: decodes the observation, keeps time and memory, encodes the action.
+    """Base class: decodes the observation, updates time and memory, encodes the action.
 
     Attributes:
         config: the task that it acts in.
         memory: size of the memory for each environment, besides the time.
-        stands: whether a feed of 0 is a standstill, and not the slowest feed of the task's device.
-        needs: observations without which it cannot act, of ``NEEDED``.
+        allow_standstill: whether a feed of 0 is a standstill instead of the slowest feed.
+        needs: required observations, keys of ``NEEDED``.
 
     Raises:
-        ValueError: the task does not show what it needs.
+        ValueError: the task lacks a required observation.
     """
 
     config: TaskConfig
     memory: ClassVar[int] = 0
-    stands: ClassVar[bool] = False
+    allow_standstill: ClassVar[bool] = False
     needs: ClassVar[tuple[str, ...]] = ()
 
     def __post_init__(self) -> None:
@@ -66,7 +66,7 @@ class FixedPolicy(ABC):
         """
 
     def start(self, memory: FloatArray) -> None:  # noqa: B027 (most policies remember nothing)
-        """Set the memory (rows of new episodes) to its start."""
+        """Initialise the memory (rows of new episodes)."""
 
     def predict(
         self,
@@ -75,7 +75,7 @@ class FixedPolicy(ABC):
         episode_start: npt.NDArray[np.bool_] | None = None,
         deterministic: bool = False,
     ) -> tuple[npt.NDArray[np.float32], State]:
-        """Actions for observations (d,) or (N, d), and the state to give back next time."""
+        """Actions for observations (d,) or (N, d), and the state for the next call."""
         rows = np.atleast_2d(observation)
         memory = np.zeros((len(rows), self.memory + 1)) if state is None else state[0].copy()
         new = np.ones(len(rows), dtype=bool) if state is None else np.zeros(len(rows), dtype=bool)
@@ -87,19 +87,19 @@ class FixedPolicy(ABC):
         feed, air = self.targets({"time": memory[:, 0], **in_si_units(self.config, rows)}, memory[:, 1:])
         memory[:, 0] += self.config.period
         action = self.config.actions(feed, air).astype(np.float32)
-        if self.stands:
+        if self.allow_standstill:
             action[np.asarray(feed) == 0.0, 0] = self.config.standstill
         return (action[0] if np.ndim(observation) == 1 else action), (memory,)
 
     def describe(self) -> dict[str, Any]:
-        """What it is, as JSON-ready data; equal for equal policies."""
+        """JSON-ready description; equal for equal policies."""
         values = {name: value for name, value in asdict(self).items() if name != "config"}
         return {"policy": type(self).__name__, **values}
 
 
 @dataclass
 class Constant(FixedPolicy):
-    """The same feed and air all the way; by default the study's."""
+    """Constant feed and air; by default the study's."""
 
     feed_speed: float = STUDY_FEED
     air_supply_rate: float = STUDY_AIR
@@ -117,25 +117,24 @@ class Scheduled(FixedPolicy):
     schedule: Schedule = field(default_factory=lambda: Schedule("time", "steps", (0.0,), (STUDY_FEED,), (STUDY_AIR,)))
 
     def targets(self, measured: dict[str, FloatArray], memory: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """What the schedule says for the time or the inserted length."""
+        """Feed and air of the schedule at the time or the inserted length."""
         return self.schedule.at(measured[self.schedule.over])
 
 
 @dataclass
 class Replayed(FixedPolicy):
-    """A schedule over time, such as a log: feeds so that the inserted length follows the schedule's.
+    """A schedule over time, such as a log: the inserted length follows that of the schedule.
 
-    Feeds below half of the device's slowest are standstills, so slow feeds come out as stops and starts. Deviations of
-    a period, by ramps and by the device's range, are corrected in the next one. A schedule with a start length is
-    followed from there on, or from the length at the start of the episode. After its end the last feed continues.
+    Feeds below half of the slowest feed are standstills. Deviations are corrected in the next period. The schedule
+    begins at its start length, or at the length at the start of the episode. After its end the last feed continues.
     """
 
     schedule: Schedule
     memory: ClassVar[int] = 2
-    stands: ClassVar[bool] = True
+    allow_standstill: ClassVar[bool] = True
 
     def start(self, memory: FloatArray) -> None:
-        """Memory: the schedule's time at the start, and the inserted length less what it has fed."""
+        """Memory: time of the schedule at the start, and inserted length minus fed length."""
         memory[:] = np.nan
 
     def targets(self, measured: dict[str, FloatArray], memory: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -146,10 +145,10 @@ class Replayed(FixedPolicy):
         start = inserted[new] - schedule.fed(memory[new, 0])
         memory[new, 1] = start if schedule.start_length is None else schedule.start_length
         now = memory[:, 0] + measured["time"]
-        seen_at = np.maximum(now - late * period, memory[:, 0])
-        behind = memory[:, 1] + schedule.fed(seen_at) - inserted
+        measured_at = np.maximum(now - late * period, memory[:, 0])
+        lag = memory[:, 1] + schedule.fed(measured_at) - inserted
         share = 1.0 / (1.0 + 2.0 * late)  # stable for every delay: below 2 sin(pi / (4 late + 2))
-        target = (schedule.fed(now + period) - schedule.fed(now) + share * behind) / period
+        target = (schedule.fed(now + period) - schedule.fed(now) + share * lag) / period
         slow, fast = self.config.feed_speeds
         feed = np.where(target < 0.5 * slow, 0.0, np.clip(target, slow, fast))
         last, air = schedule.at(now)
@@ -158,7 +157,7 @@ class Replayed(FixedPolicy):
 
 @dataclass
 class SlowDown(FixedPolicy):
-    """Full feed up to one length, slow feed from another on, linear between."""
+    """Fast feed up to one length, slow feed beyond another, linear in between."""
 
     fast: float = 0.4
     slow: float = 0.08
@@ -174,7 +173,7 @@ class SlowDown(FixedPolicy):
 
 @dataclass
 class OnOff(FixedPolicy):
-    """Slow as soon as the measured vibration passes a level, fast again once it has fallen below half of it."""
+    """Slow when the measured vibration exceeds a level, fast again when it is below half of it."""
 
     fast: float = 0.3
     slow: float = 0.08
@@ -201,11 +200,11 @@ class PI(FixedPolicy):
     memory: ClassVar[int] = 1
 
     def start(self, memory: FloatArray) -> None:
-        """Memory: logarithm of the feed speed that the integral has come to."""
+        """Memory: logarithm of the integral part of the feed speed."""
         memory[:, 0] = np.log(STUDY_FEED)
 
     def targets(self, measured: dict[str, FloatArray], memory: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Integral held within the range of the feed, so that it does not wind up."""
+        """The integral is clipped to the feed range (no wind-up)."""
         error = np.clip(np.log(self.level / measured["rf_noise"]), -2.0, 1.0)
         low, high = np.log(self.config.feed_speeds)
         memory[:, 0] = np.clip(memory[:, 0] + self.integral * self.config.period * error, low, high)
@@ -215,12 +214,12 @@ class PI(FixedPolicy):
 
 @dataclass
 class Random(FixedPolicy):
-    """Feed and air drawn anew every period, the same for the same seed, step and environment's place."""
+    """Uniformly random feed and air in every period, a function of seed, time and measured vibration."""
 
     seed: int = 0
 
     def targets(self, measured: dict[str, FloatArray], memory: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """From time and measured length, so that it depends neither on company nor on history."""
+        """Seeded by time and measurement, so they depend neither on other environments nor on history."""
         shares = np.empty((2, len(measured["time"])))
         for k, (time, noise) in enumerate(zip(measured["time"], measured["rf_noise"], strict=True)):
             entropy = [self.seed, round(time * 1e3), int(np.float64(noise).view(np.uint64))]

@@ -1,6 +1,6 @@
-"""A feedback law as a file: schedules for some frictions, between which the friction read from the tension chooses.
+"""Feedback law as a file: a schedule for each of several frictions, interpolated at the estimated friction.
 
-A rig's controller can hold it as a table: helix diameter, friction and inserted length in, feed and air out.
+A controller can store it as a table: helix diameter, friction and inserted length in, feed and air out.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ Table = Annotated[tuple[Row, ...], Field(min_length=1, max_length=100)]
 
 
 class OfDiameter(Model):
-    """Feed and air for one helix diameter, a row a friction and a column a length."""
+    """Feed and air for one helix diameter; one row per friction, one column per length."""
 
     helix_diameter: Annotated[FiniteFloat, Field(gt=0.0)]
     """[m]."""
@@ -38,12 +38,12 @@ class OfDiameter(Model):
 
 
 class Law(Model):
-    """What is fed and blown at which friction, helix diameter and inserted length, SI units."""
+    """Tables of feed and air over friction, helix diameter and inserted length, SI units."""
 
     scene: Scene
-    """Bore, length, probe and air that it was made for."""
+    """Scene that it was made for."""
     ranges: RangesOfTubes
-    """Least and greatest of the fields of ``Context`` that it was made for."""
+    """Smallest and largest value of the fields of ``Context`` that it was made for."""
     friction: Annotated[tuple[FiniteFloat, ...], Field(min_length=1, max_length=100)]
     inserted_length: Row
     """[m]."""
@@ -59,7 +59,7 @@ class Law(Model):
             for name, column in (("feed_speed", FEED), ("air_supply_rate", AIR)):
                 rows = getattr(table, name)
                 if len(rows) != shape[0] or any(len(row) != shape[1] for row in rows):
-                    text = f"tables.{k}.{name}: must be {shape[0]} rows of {shape[1]}, a friction and a length each"
+                    text = f"tables.{k}.{name}: must have {shape[0]} rows (frictions) of {shape[1]} values (lengths)"
                     raise PydanticCustomError("shape", "{text}", {"text": text})
                 low, high = RANGES[column][:2]
                 high = high / 3600.0 if column == AIR else high
@@ -74,7 +74,7 @@ class Law(Model):
         return read_model(path, cls, "JSON")
 
     def at(self, friction: FloatArray, length: FloatArray, diameter: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Feed speed [m/s] and air supply [m3/s] (n,), straight between frictions and lengths, at the nearest diameter.
+        """Feed speed [m/s] and air supply [m3/s] (n,), linear in friction and length, at the nearest diameter.
 
         Args:
             friction: (n,).
@@ -83,36 +83,36 @@ class Law(Model):
         """
         diameters = np.array([table.helix_diameter for table in self.tables])
         targets = np.empty((2, len(friction)))
-        for k, (mu, place, d) in enumerate(zip(friction, length, diameter, strict=True)):
+        for k, (mu, inserted, d) in enumerate(zip(friction, length, diameter, strict=True)):
             table = self.tables[int(np.abs(diameters - d).argmin())]
             for row, values in enumerate((table.feed_speed, table.air_supply_rate)):
-                column = [np.interp(place, self.inserted_length, line) for line in values]
+                column = [np.interp(inserted, self.inserted_length, line) for line in values]
                 targets[row, k] = np.interp(mu, self.friction, column)
         return targets[0], targets[1]
 
 
 @dataclass
-class Lawful(FixedPolicy):
-    """Acts by a law, with the friction that steady sliding would need for the measured tension."""
+class LawPolicy(FixedPolicy):
+    """Applies a law at the friction estimated from the root tension (closed form of steady sliding)."""
 
     law: Law = field(kw_only=True)
     average: float = 15.0
-    """Time constant of the friction's average [s]."""
+    """Time constant of the average of the friction [s]."""
     memory: ClassVar[int] = 1
     needs: ClassVar[tuple[str, ...]] = ("root_tension",)
 
     @property
     def domain(self) -> Domain:
-        """What the law was made for."""
+        """Tubes that the law was made for."""
         tube = self.law.scene.tube
         return Domain(dict(self.law.ranges), tube.inner_diameter, tube.helix_length, self.law.scene.probe)
 
     def start(self, memory: FloatArray) -> None:
-        """Memory: the friction."""
+        """Memory: average of the friction."""
         memory[:, 0] = np.median(self.law.friction)
 
     def targets(self, measured: dict[str, FloatArray], memory: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Of the averaged friction."""
+        """Feed and air at the averaged friction."""
         friction = friction_from_tension({name: measured[name] for name in MEASURED}, self.config.scene)
         credible = np.clip(friction, self.law.friction[0], self.law.friction[-1])
         memory[:, 0] += gain(self.config, self.average) * (credible - memory[:, 0])

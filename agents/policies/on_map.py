@@ -1,6 +1,6 @@
-"""Policies on the vibration map: the best schedule for a tube, on a grid of feed and air at every few metres.
+"""Policies on the vibration map: the best schedule for a tube, from a grid of feed and air at every few metres.
 
-The tube is the true one, or that of the friction which the root tension suggests, with the map shifted or not.
+The tube is the true one, or has the friction estimated from the root tension; ``Adaptive`` also shifts the map.
 """
 
 from __future__ import annotations
@@ -36,8 +36,7 @@ from probe_env.schedule import Schedule
 SPACING: Final = 2.5  # [m] between knots
 FIRST: Final = 5.0  # [m], the length at which an insertion begins
 LEAST_AIR: Final = 45.0 / 3600.0
-"""[m3/s] on table 2; below it the root tension of a training tube came near the 0.8 N that the rising straight part
-needs."""
+"""[m3/s] for table 2; with less, the root tension of a training tube was close to the required 0.8 N."""
 USUAL: Final = Scene()
 FRICTIONS: Final = (0.08, 0.27)
 FRICTION_STEP: Final = 0.005
@@ -46,19 +45,19 @@ SHIFT_STEP: Final = 0.1
 
 
 def knots(config: TaskConfig) -> FloatArray:
-    """(k,) inserted lengths [m] at which a schedule is picked."""
+    """(k,) inserted lengths [m] of the points of a schedule."""
     return np.arange(FIRST, config.scene.tube.helix_length + 1.0, SPACING)
 
 
 def least_air(config: TaskConfig) -> float:
-    """The least air [m3/s] that schedules blow: what pulls a still probe as ``LEAST_AIR`` does on table 2."""
+    """Smallest air supply of schedules [m3/s]: it pulls a probe at rest like ``LEAST_AIR`` in table 2."""
     equal = float(equivalent_air(np.array([LEAST_AIR]), np.zeros(1), USUAL, config.scene)[0])
     return float(np.clip(equal, *config.air_supply_rates))
 
 
 @lru_cache(maxsize=64)
 def grid(config: TaskConfig) -> tuple[FloatArray, FloatArray]:
-    """(g,) feed speeds [m/s] and air supplies [m3/s] that a best schedule is picked from."""
+    """(g,) feed speeds [m/s] and air supplies [m3/s] of the search grid."""
     air = np.linspace(least_air(config), config.air_supply_rates[1], 12)
     feed, blown = np.meshgrid(np.geomspace(*feeds(config), 32), air, indexing="ij")
     return feed.ravel(), blown.ravel()
@@ -67,9 +66,9 @@ def grid(config: TaskConfig) -> tuple[FloatArray, FloatArray]:
 def expected_costs(
     contexts: FloatArray, config: TaskConfig, shift: float = 0.0, vibration: VibrationMap | None = None
 ) -> FloatArray:
-    """(contexts, knots, g) expected cost of a metre at every knot, for every feed and air of the grid.
+    """(contexts, knots, g) expected cost per metre at every knot, for every feed and air of the grid.
 
-    ``shift`` [decades] is by how much more the probe vibrates than the map says; default: the shipped map.
+    ``shift`` [decades] is added to the logarithm of the vibration of the map; default: the shipped map.
     """
     count, vibration = len(knots(config)), vibration or stored_map()
     check_measure(vibration, config)
@@ -87,8 +86,8 @@ def _grid_vibration(
 ) -> tuple[FloatArray, FloatArray]:
     """Mean and deviation (knots * g,) of the decadic logarithm of the vibration in one tube."""
     feed, air = grid(config)
-    places = knots(config)
-    lengths, count = np.repeat(places, len(feed)), len(places)
+    length = knots(config)
+    lengths, count = np.repeat(length, len(feed)), len(length)
     tube = np.tile(context, (len(lengths), 1))
     return vibration.predict(lengths, np.tile(feed, count), np.tile(air, count), tube, config.scene)
 
@@ -97,18 +96,18 @@ def _grid_vibration(
 def best_schedule_for(
     context: Context, config: TaskConfig, shift: float = 0.0, vibration: VibrationMap | None = None
 ) -> Schedule:
-    """Schedule over inserted length with the least expected cost on one tube: the best of the grid at every knot.
+    """Schedule over inserted length with the least expected cost in one tube: the best grid point at every knot.
 
-    ``shift`` [decades] is by how much more the probe vibrates than the map says; default: the shipped map.
+    ``shift`` [decades] is added to the logarithm of the vibration of the map; default: the shipped map.
     """
     values = np.array([[getattr(context, name) for name in CONTEXT]])
     best = expected_costs(values, config, shift, vibration)[0].argmin(axis=1)
     feed, air = (column[best] for column in grid(config))
-    places = tuple(map(float, knots(config)))
-    return Schedule("inserted_length", "linear", places, tuple(map(float, feed)), tuple(map(float, air)))
+    length = tuple(map(float, knots(config)))
+    return Schedule("inserted_length", "linear", length, tuple(map(float, feed)), tuple(map(float, air)))
 
 
-def looked_up(
+def targets_on_map(
     tubes: Sequence[Context],
     length: FloatArray,
     config: TaskConfig,
@@ -123,15 +122,17 @@ def looked_up(
 
 @dataclass
 class ByDiameter(FixedPolicy):
-    """One schedule for each helix diameter [m]; the nearest one is taken."""
+    """One schedule for each helix diameter [m]; uses that of the nearest diameter."""
 
     schedules: dict[float, Schedule] = field(default_factory=dict)
 
     def targets(self, measured: dict[str, FloatArray], memory: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """What the schedule of the diameter says for the inserted length."""
+        """Feed and air of the schedule of the nearest diameter."""
         diameters = np.array(list(self.schedules))
         nearest = [diameters[np.abs(diameters - d).argmin()] for d in measured["helix_diameter"]]
-        pairs = [self.schedules[d].at(place) for d, place in zip(nearest, measured["inserted_length"], strict=True)]
+        pairs = [
+            self.schedules[d].at(inserted) for d, inserted in zip(nearest, measured["inserted_length"], strict=True)
+        ]
         return np.array([float(feed) for feed, _ in pairs]), np.array([float(air) for _, air in pairs])
 
     @classmethod
@@ -142,10 +143,10 @@ class ByDiameter(FixedPolicy):
 
 @dataclass
 class MapPolicy(FixedPolicy):
-    """Base: what it does depends on the stored map as well."""
+    """Base class of policies on a vibration map."""
 
     vibration: VibrationMap = field(default_factory=stored_map)
-    """The map that it looks things up in; default: the shipped one."""
+    """Vibration map; default: the shipped one."""
 
     @property
     def domain(self) -> Domain:
@@ -163,26 +164,26 @@ class Privileged(MapPolicy):
     """Oracle: the best schedule for the true tube, which a rig cannot measure; feedback can earn more."""
 
     vibration_weight: float | None = None
-    """Weight that the schedule is best for; default: the task's."""
+    """Vibration weight of the schedule's objective; default: the task's."""
     needs: ClassVar[tuple[str, ...]] = ("friction",)
 
     def targets(self, measured: dict[str, FloatArray], memory: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Looked up in the map."""
+        """Feed and air of the best schedule for the true tube."""
         tubes = np.column_stack([measured[name] for name in CONTEXT]).astype(np.float32)
         contexts = [_context(*map(float, tube)) for tube in tubes]
         config = _weighted(self.config, self.vibration_weight)
-        return looked_up(contexts, measured["inserted_length"], config, self.vibration)
+        return targets_on_map(contexts, measured["inserted_length"], config, self.vibration)
 
 
 @dataclass
 class TensionScheduled(MapPolicy):
-    """Friction estimated from the root tension of steady sliding, then the best schedule for a tube with it."""
+    """Estimates friction from the root tension (steady sliding) and follows the best schedule for it."""
 
     average: float = 15.0
     """Time constant of the estimate's average [s]."""
     prior: float = 0.175
     vibration_weight: float | None = None
-    """Weight that the schedule is best for; default: the task's."""
+    """Vibration weight of the schedule's objective; default: the task's."""
     memory: ClassVar[int] = 1
     needs: ClassVar[tuple[str, ...]] = ("root_tension",)
 
@@ -191,14 +192,14 @@ class TensionScheduled(MapPolicy):
         memory[:, 0] = self.prior
 
     def targets(self, measured: dict[str, FloatArray], memory: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Stiffness, drag and probe are taken as the scene's."""
+        """Feed and air of the best schedule; stiffness, drag and probe are those of the scene."""
         without_probe = {name: measured[name] for name in MEASURED}
         tubes = self.tubes(friction_from_tension(without_probe, self.config.scene), measured["helix_diameter"], memory)
         config = _weighted(self.config, self.vibration_weight)
-        return looked_up(tubes, measured["inserted_length"], config, self.vibration)
+        return targets_on_map(tubes, measured["inserted_length"], config, self.vibration)
 
     def tubes(self, friction: FloatArray, helix_diameter: FloatArray, memory: FloatArray) -> list[Context]:
-        """Tubes (N,) of the averaged friction, which ``memory`` keeps; rounded so that few schedules are searched."""
+        """Tubes (N,) with the averaged friction in ``memory``, rounded so that few schedules are searched."""
         memory[:, 0] += gain(self.config, self.average) * (np.clip(friction, *FRICTIONS) - memory[:, 0])
         rounded = np.round(memory[:, 0] / FRICTION_STEP) * FRICTION_STEP
         pairs = zip(rounded, helix_diameter, strict=True)
@@ -207,17 +208,17 @@ class TensionScheduled(MapPolicy):
 
 @dataclass
 class Adaptive(TensionScheduled):
-    """``TensionScheduled`` with the map shifted by the measured vibration, for probes that the map does not know.
+    """``TensionScheduled`` with the map shifted by the measured vibration, for probes other than the map's.
 
-    The shift in decades is averaged over the run. Where the task shows the probe, its floats enter the friction.
+    The shift in decades is averaged over the run. If the task observes the probe, its floats enter the friction.
     """
 
     shift_average: float = 15.0
     """Time constant of the average of the shift [s]."""
     smoothing: float = 6.0
-    """Time constant of feed and air [s]: a leap between two schedules could buckle a weak cable."""
+    """Time constant of feed and air [s]: a jump between two schedules could buckle a weak cable."""
     least_tension: float = 2.0
-    """Air is blown so that steady sliding keeps this root tension [N], with floats of any size."""
+    """Root tension of steady sliding that the air maintains, for floats of any size [N]."""
     memory: ClassVar[int] = 4
 
     @property
@@ -226,7 +227,7 @@ class Adaptive(TensionScheduled):
         return Domain.of_map(self.vibration, any_probe=True)
 
     def targets(self, measured: dict[str, FloatArray], memory: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Looked up in the shifted map. Memory: the friction estimate, the shift [decades], feed and air."""
+        """Feed and air from the shifted map. Memory: friction estimate, shift [decades], feed, air."""
         tubes = self.tubes(friction_from_tension(measured, self.config.scene), measured["helix_diameter"], memory)
         memory[:, 1] += gain(self.config, self.shift_average) * (
             np.clip(self._shift(measured, tubes), *SHIFTS) - memory[:, 1]
@@ -234,7 +235,7 @@ class Adaptive(TensionScheduled):
         rounded = np.round(memory[:, 1] / SHIFT_STEP) * SHIFT_STEP
         shifts = [round(float(decades), 4) for decades in rounded]
         config = _weighted(self.config, self.vibration_weight)
-        feed, air = looked_up(tubes, measured["inserted_length"], config, self.vibration, shifts)
+        feed, air = targets_on_map(tubes, measured["inserted_length"], config, self.vibration, shifts)
         goal = np.column_stack([feed, np.clip(self._taut(measured), air, self.config.air_supply_rates[1])])
         applied = np.column_stack([measured["feed_speed"], measured["air_supply_rate"]])
         before = np.where(memory[:, 2:] > 0.0, memory[:, 2:], applied)
@@ -242,14 +243,14 @@ class Adaptive(TensionScheduled):
         return memory[:, 2], memory[:, 3]
 
     def _shift(self, measured: dict[str, FloatArray], tubes: list[Context]) -> FloatArray:
-        """Measured vibration (N,) over the map's, in decades."""
+        """Logarithm (N,) of the ratio of measured and predicted vibration [decades]."""
         values = np.array([[getattr(tube, name) for name in CONTEXT] for tube in tubes])
         length, feed, air = (measured[name] for name in ("inserted_length", "feed_speed", "air_supply_rate"))
         expected = 10.0 ** self.vibration.predict(length, feed, air, values, self.config.scene)[0] * 1e-4
         return np.asarray(np.log10(measured["rf_noise"] / np.hypot(expected, RF_FLOOR)))
 
     def _taut(self, measured: dict[str, FloatArray]) -> FloatArray:
-        """Air supply (N,) [m3/s] for the least tension, which goes with the square of the wind."""
+        """Air supply (N,) [m3/s] for the least tension; tension is proportional to the square of the wind."""
         no_wind = measured["feed_speed"] / air_speed(self.config.scene, 1.0)
         tension = np.maximum(measured["root_tension"], 0.1 * self.least_tension)
         return np.asarray(no_wind + (measured["air_supply_rate"] - no_wind) * np.sqrt(self.least_tension / tension))

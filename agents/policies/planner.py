@@ -1,8 +1,8 @@
 """Model-predictive control on copies of the simulator: an upper bound for feedback, no controller for a rig.
 
-Every few control periods candidates of feed and air are held for a while on copies of the running episodes. The reward
-of these periods and the expected reward of the rest decide. Noise on the state and an estimated tube take away what a
-rig does not know. ``InsertionPlanner`` takes the rest from the vibration map; ``InspectionPlanner`` is for both passes.
+Every few control periods, candidates of feed and air are simulated on copies of the running episodes; the one with the
+largest sum of simulated and expected remaining reward is applied. Noise on the state and an estimated tube remove
+information that a rig does not have.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from agents.policies.fixed import gain
-from agents.policies.on_map import FRICTION_STEP, FRICTIONS, LEAST_AIR, expected_costs, knots, looked_up
+from agents.policies.on_map import FRICTION_STEP, FRICTIONS, LEAST_AIR, expected_costs, knots, targets_on_map
 from agents.policies.policy import Domain
 from probe_env import Context
 from probe_env.arrays import BoolArray, FloatArray
@@ -29,11 +29,11 @@ from probe_env.envs.vibration_map import CONTEXT, VibrationMap, stored_map
 from probe_env.physics.closed_forms import MEASURED, friction_from_tension
 
 WIDE: Final = (0.5, 0.25)
-"""Standard deviations of a wide draw: of the logarithm of the feed, and of the air as a share of its range."""
+"""Standard deviations of wide candidates: of the logarithm of the feed, and of the air as a share of its range."""
 NEAR: Final = (0.12, 0.06)
-"""Standard deviations of a near draw."""
+"""Standard deviations of near candidates."""
 BLUR: Final = 1e-5
-"""[m]: radial position of every float that no rig can know exactly."""
+"""Uncertainty of the radial position of every float on a rig [m]."""
 PLANNERS: Final[dict[str, dict[str, Any]]] = {
     "planner": {},
     "planner-blurred": {"blur": BLUR},
@@ -45,7 +45,7 @@ INSPECTION_PLANNERS: Final = {name: PLANNERS[name] for name in ("planner", "plan
 
 
 class Memory(NamedTuple):
-    """State of an episode: periods since its start, feed [m/s] and air [m3/s] that are held, estimated friction."""
+    """State of an episode: periods since its start, current feed [m/s] and air [m3/s], estimated friction."""
 
     time: int
     feed: float
@@ -55,16 +55,16 @@ class Memory(NamedTuple):
 
 @dataclass
 class ModelPredictivePolicy(ABC):
-    """Decides every ``every`` control periods between ``candidates`` of feed and air, held on copies for ``periods``.
+    """Every ``every`` control periods, simulates ``candidates`` of feed and air for ``periods`` and applies the best.
 
     Attributes:
         config: the task.
         periods: control periods for which a candidate is held.
         candidates: number of candidates.
         every: control periods between two decisions.
-        blur: standard deviation of the nodes' radial positions as they are known [m].
-        seed: of the draws.
-        prior: friction that is assumed at first.
+        blur: standard deviation of the noise on the nodes' radial positions [m].
+        seed: seed of the candidates.
+        prior: initial friction estimate.
     """
 
     config: TaskConfig
@@ -90,9 +90,9 @@ class ModelPredictivePolicy(ABC):
         """Not available.
 
         Raises:
-            ValueError: always: observations alone are not enough to look ahead.
+            ValueError: always: planning needs the simulator, not only observations.
         """
-        raise ValueError("a planner tries things out on the simulator itself: play it with `probe-env evaluate`")
+        raise ValueError("a planner needs the simulator, not only observations: run it with `probe-env evaluate`")
 
     def describe(self) -> dict[str, Any]:
         """JSON-ready description."""
@@ -102,14 +102,14 @@ class ModelPredictivePolicy(ABC):
     def decide(
         self, episodes: Episodes, which: Sequence[int], observation: npt.NDArray[np.float32], states: Sequence[Any]
     ) -> tuple[npt.NDArray[np.float32], list[Any]]:
-        """Actions (n, 2) and states of n running episodes, by their observations (n, d) and states."""
+        """Actions (n, 2) and new states of n running episodes for their observations (n, d) and states."""
         memories: list[Memory] = []
         for k, state in zip(which, states, strict=True):
             simulator = episodes.batch.simulators[k]
             memories.append(state or Memory(0, simulator.feed_speed, simulator.air_supply_rate, self.prior))
         memories = self._with_friction(observation, memories)
         due = [row for row, memory in enumerate(memories) if memory.time % self.every == 0]
-        # together with those of the same time: the draws depend on the time, so not on what runs next to an episode
+        # grouped by time: candidates depend on the time of an episode, not on the other episodes of the batch
         for time in sorted({memories[row].time for row in due}):
             rows = [row for row in due if memories[row].time == time]
             best = self._best(episodes, [which[row] for row in rows], [memories[row] for row in rows])
@@ -120,7 +120,7 @@ class ModelPredictivePolicy(ABC):
         return actions, [memory._replace(time=memory.time + 1) for memory in memories]
 
     def _best(self, episodes: Episodes, which: Sequence[int], memories: Sequence[Memory]) -> FloatArray:
-        """(n, 2) feed [m/s] and air [m3/s] of the best candidates; the episodes themselves stay as they are."""
+        """(n, 2) feed [m/s] and air [m3/s] of the best candidates; the episodes are not changed."""
         entropy = [self.seed, memories[0].time]
         held = np.array([(memory.feed, memory.air) for memory in memories])
         inserted = episodes.inserted_length[list(which)]
@@ -132,15 +132,15 @@ class ModelPredictivePolicy(ABC):
                 move_to(tube, copies, range(row * self.candidates, (row + 1) * self.candidates))
         blur_states(copies, self.blur, entropy)
         rows = candidates.reshape(-1, 2)
-        worth = (earned(copies, rows, self.periods) + self._rest(copies, rows)).reshape(candidates.shape[:2])
+        worth = (reward_of_holding(copies, rows, self.periods) + self._rest(copies, rows)).reshape(candidates.shape[:2])
         return np.take_along_axis(candidates, worth.argmax(axis=1)[:, None, None], axis=1)[:, 0]
 
     def _with_friction(self, observation: npt.NDArray[np.float32], memories: list[Memory]) -> list[Memory]:
-        """Memories with the friction that the observations suggest."""
+        """Memories with friction estimated from the observations."""
         return memories
 
     def _tubes(self, tubes: list[Context], memories: Sequence[Memory]) -> list[Context]:
-        """Tubes in which is looked ahead, for the true ones."""
+        """Tubes of the simulated copies, for the true tubes."""
         return tubes
 
     @abstractmethod
@@ -151,7 +151,7 @@ class ModelPredictivePolicy(ABC):
 
     @abstractmethod
     def _rest(self, copies: Episodes, held: FloatArray) -> FloatArray:
-        """(N,) expected reward after the periods in which feed and air (N, 2) were held."""
+        """(N,) expected reward after the periods in which feed and air (N, 2) were constant."""
 
 
 @dataclass
@@ -159,9 +159,9 @@ class InsertionPlanner(ModelPredictivePolicy):
     """Model-predictive control of an insertion.
 
     Attributes:
-        vibration: map that the rest is taken from; default: the shipped one.
-        tube: "true", or "estimated": friction from the root tension, the rest of the scene.
-        rest: reward after the periods, from the "map", or "nothing".
+        vibration: vibration map of the remaining reward; default: the shipped one.
+        tube: "true", or "estimated": friction from the root tension, all else from the scene.
+        rest: remaining reward: from the "map", or "nothing" (0).
         average: time constant of the average of the estimated friction [s].
     """
 
@@ -184,7 +184,7 @@ class InsertionPlanner(ModelPredictivePolicy):
             return memories
         measured = in_si_units(self.config, np.asarray(observation))
         if "root_tension" not in measured:
-            raise ValueError("a planner in an estimated tube needs a task that shows the root tension")
+            raise ValueError("planner-estimated needs the root tension (observe_root_tension = true)")
         friction = friction_from_tension({name: measured[name] for name in MEASURED}, self.config.scene)
         weight = gain(self.config, self.average)
         pairs = zip(memories, np.clip(friction, *FRICTIONS).tolist(), strict=True)
@@ -200,7 +200,7 @@ class InsertionPlanner(ModelPredictivePolicy):
     def _candidates(
         self, tubes: Sequence[Context], inserted: FloatArray, held: FloatArray, entropy: list[int]
     ) -> FloatArray:
-        best = np.column_stack(looked_up(tubes, inserted, self.config, self.vibration))
+        best = np.column_stack(targets_on_map(tubes, inserted, self.config, self.vibration))
         return candidates_near(held, best, self.candidates, self.config, entropy)
 
     def _rest(self, copies: Episodes, held: FloatArray) -> FloatArray:
@@ -208,18 +208,18 @@ class InsertionPlanner(ModelPredictivePolicy):
         rest = np.zeros(len(copies))
         if self.rest == "map":
             pairs = zip(copies.context, inserted, strict=True)
-            rest = np.array([worth_of_rest(tube, at, self.config, self.vibration) for tube, at in pairs])
-        # drive that is about to be lost is lost: the map does not know of it
-        lost = -uninspected_weight(self.config) * (copies.helix_length - inserted)
-        return np.where(copies.running, np.where(is_slack(copies), lost, rest), 0.0)
+            rest = np.array([remaining_reward(tube, at, self.config, self.vibration) for tube, at in pairs])
+        # a slack cable will lose the drive, which the map does not include
+        lost_drive = -uninspected_weight(self.config) * (copies.helix_length - inserted)
+        return np.where(copies.running, np.where(is_slack(copies), lost_drive, rest), 0.0)
 
 
 @dataclass
 class InspectionPlanner(ModelPredictivePolicy):
     """Model-predictive control of both passes.
 
-    The expected reward of the rest is that of holding the candidate on the present pass, and of the fastest, silent
-    withdrawal. There is no map of withdrawals: a compressed probe hardly rings, but changes of its feed shake it.
+    The remaining reward assumes the candidate until the end of the present pass, then the fastest withdrawal without
+    vibration. There is no map of withdrawals: a compressed probe hardly vibrates except after changes of its feed.
 
     Raises:
         ValueError: a setting is out of range, or the withdrawal is not scored.
@@ -233,8 +233,7 @@ class InspectionPlanner(ModelPredictivePolicy):
         super().__post_init__()
         if self.config.inspects == "in":
             raise ValueError(
-                "inspects = 'in': the way back counts for nothing, so a planner of the way in is all there is; use"
-                ' passes = "in"'
+                "inspects = 'in': the withdrawal is not scored; use passes = \"in\" with a planner of the insertion"
             )
 
     def _candidates(
@@ -243,14 +242,14 @@ class InspectionPlanner(ModelPredictivePolicy):
         return candidates_for_both_passes(held, self.candidates, self.config, entropy)
 
     def _rest(self, copies: Episodes, held: FloatArray) -> FloatArray:
-        return worth_of_both_passes(copies, held)
+        return remaining_reward_of_both_passes(copies, held)
 
 
 def candidates_for_both_passes(held: FloatArray, count: int, config: TaskConfig, entropy: list[int]) -> FloatArray:
-    """(n, count, 2) feed speeds [m/s] and air supplies [m3/s] to try, as the plant's devices give them.
+    """(n, count, 2) feed speeds [m/s] and air supplies [m3/s], rounded like the plant's devices.
 
-    What is held (n, 2), the fastest feed with the air that is held, and then in turn draws near what is held and the
-    fastest feed with any air: what is good on one way is not on the other, and the turn leaves no time for small steps.
+    The current setting (n, 2), the fastest feed with the current air, then in turn samples near the current setting and
+    the fastest feed with random air: the two passes need different settings, and the turn is too short for small steps.
     """
     fastest, (least, most) = config.feed_speeds[1], config.air_supply_rates
     tried = candidates_near(held, np.column_stack([np.full(len(held), fastest), held[:, 1]]), count, config, entropy)
@@ -263,16 +262,16 @@ def candidates_for_both_passes(held: FloatArray, count: int, config: TaskConfig,
 def candidates_near(
     held: FloatArray, suggested: FloatArray, count: int, config: TaskConfig, entropy: list[int]
 ) -> FloatArray:
-    """(n, count, 2) feed speeds [m/s] and air supplies [m3/s] to try, as the plant's devices give them.
+    """(n, count, 2) feed speeds [m/s] and air supplies [m3/s], rounded like the plant's devices.
 
-    The same draws serve all episodes of a time, so that an episode does not depend on what runs next to it.
+    All episodes at the same time share the random numbers, so an episode does not depend on the rest of the batch.
 
     Args:
-        held: (n, 2) feed and air now: the first candidate.
-        suggested: (n, 2) what the map thinks best: the second, where there are two.
-        count: of each, 1 and more.
-        config: the task.
-        entropy: of the generator.
+        held: (n, 2) current feed and air: the first candidate.
+        suggested: (n, 2) best setting by the map: the second candidate.
+        count: number of candidates, at least 1.
+        config: task.
+        entropy: seed of the generator.
     """
     rng = np.random.default_rng(entropy)
     tried = np.repeat(held[:, None], count, axis=1)
@@ -285,13 +284,13 @@ def candidates_near(
         centre = suggested if row % 4 == 1 else held
         tried[:, k, 0] = centre[:, 0] * np.exp(spread[0] * normal[row, 0])
         tried[:, k, 1] = centre[:, 1] + spread[1] * (high - low) * normal[row, 1]
-    # as an action says it: a chaotic probe would make something else of the digits that float32 has not
+    # through float32 actions: in a chaotic motion digits beyond float32 would change the result
     actions = config.actions(tried[..., 0].ravel(), tried[..., 1].ravel()).astype(np.float32)
     return np.asarray(config.targets(actions)).reshape(tried.shape)
 
 
 def move_to(tube: Context, copies: Episodes, which: range) -> None:
-    """Let copies of one episode go on in another tube."""
+    """Continue copies of one episode in another tube."""
     simulators = copies.batch.simulators
     begun = {name: getattr(simulators[which[0]].scene, name) for name in ("probe", "carrier_length")}
     moved = simulators[which[0]].branch(copies.sampler.build(tube, {}).model_copy(update=begun))
@@ -300,7 +299,7 @@ def move_to(tube: Context, copies: Episodes, which: range) -> None:
 
 
 def blur_states(copies: Episodes, blur: float, entropy: list[int]) -> None:
-    """Displace the nodes of copies radially by noise [m], the same for all copies of a probe."""
+    """Displace the nodes of copies radially by noise [m], equal for all copies of a probe."""
     if blur <= 0.0:
         return
     for simulator in copies.batch.simulators:
@@ -308,26 +307,26 @@ def blur_states(copies: Episodes, blur: float, entropy: list[int]) -> None:
         simulator.displace(blur * noise[: simulator.root])
 
 
-def worth_of_rest(tube: Context, inserted: FloatArray, config: TaskConfig, vibration: VibrationMap) -> FloatArray:
-    """Expected reward of the best schedule from inserted lengths [m] (any shape) to the helix's end."""
-    return np.interp(inserted, *_worth(tube, config, vibration))
+def remaining_reward(tube: Context, inserted: FloatArray, config: TaskConfig, vibration: VibrationMap) -> FloatArray:
+    """Expected reward of the best schedule from inserted lengths [m] (any shape) to the end of the helix."""
+    return np.interp(inserted, *_remaining_rewards(tube, config, vibration))
 
 
 @lru_cache(maxsize=1024)
-def _worth(tube: Context, config: TaskConfig, vibration: VibrationMap) -> tuple[FloatArray, FloatArray]:
-    """Lengths (k,) [m] and what is to come from each."""
+def _remaining_rewards(tube: Context, config: TaskConfig, vibration: VibrationMap) -> tuple[FloatArray, FloatArray]:
+    """Lengths (k,) [m] and the remaining reward at each."""
     end = config.scene.tube.helix_length
-    places = np.minimum(knots(config), end)
+    lengths = np.minimum(knots(config), end)
     values = np.array([[getattr(tube, name) for name in CONTEXT]])
     rate = metre_reward(config, expected_costs(values, config, 0.0, vibration)[0].min(axis=1))
-    if places[-1] < end:  # as the last knot is
-        places, rate = np.append(places, end), np.append(rate, rate[-1])
-    steps = 0.5 * (rate[1:] + rate[:-1]) * np.diff(places)
-    return places, np.append(np.cumsum(steps[::-1])[::-1], 0.0)
+    if lengths[-1] < end:  # as the last knot is
+        lengths, rate = np.append(lengths, end), np.append(rate, rate[-1])
+    steps = 0.5 * (rate[1:] + rate[:-1]) * np.diff(lengths)
+    return lengths, np.append(np.cumsum(steps[::-1])[::-1], 0.0)
 
 
-def earned(copies: Episodes, held: FloatArray, periods: int) -> FloatArray:
-    """(N,) reward of episodes that go on for some periods with (N, 2) feed [m/s] and air [m3/s] held."""
+def reward_of_holding(copies: Episodes, held: FloatArray, periods: int) -> FloatArray:
+    """(N,) reward of some periods with constant feed [m/s] and air [m3/s] (N, 2)."""
     actions = copies.config.actions(held[:, 0], held[:, 1]).astype(np.float32)
     reward = np.zeros(len(copies))
     for _ in range(periods):
@@ -339,28 +338,28 @@ def earned(copies: Episodes, held: FloatArray, periods: int) -> FloatArray:
 
 
 def is_slack(episodes: Episodes) -> BoolArray:
-    """(N,) whether a cable hangs slack, so that its drive is about to be lost."""
+    """(N,) whether the cable is slack, so that the drive will be lost."""
     return np.array([metrics.consecutive_slack_steps > 0 for metrics in episodes.scorer.metrics])
 
 
-def worth_of_both_passes(episodes: Episodes, held: FloatArray) -> FloatArray:
-    """(N,) what is left to earn by probes that go both ways; 0 where an episode has ended.
+def remaining_reward_of_both_passes(episodes: Episodes, held: FloatArray) -> FloatArray:
+    """(N,) remaining reward with insertion and withdrawal; 0 for ended episodes.
 
-    On the way that each is on (N, 2) feed [m/s] and air [m3/s] are held, from the turn on the feed is the fastest and
-    the air the least. Of those that hang slack it is what losing the drive costs, for that is what follows.
+    Feed [m/s] and air [m3/s] (N, 2) are constant on the present pass; the withdrawal has the fastest feed and the least
+    air. For a slack cable the value is the cost of lost drive.
     """
     config, passes = episodes.config, episodes.scorer
     assert isinstance(passes, RoundTripScorer)
     inserted, length = episodes.inserted_length, episodes.helix_length
     to_pass, shaken = passes.still_to_pass()
-    forth, unseen = passes.direction > 0.0, length - passes.reached
-    here = np.where(forth, length - inserted, to_pass) / held[:, 0]
-    back = np.where(forth, length - passes.start, 0.0) / config.feed_speeds[1]
+    inserting, uninspected = passes.direction > 0.0, length - passes.reached
+    here = np.where(inserting, length - inserted, to_pass) / held[:, 0]
+    back = np.where(inserting, length - passes.start, 0.0) / config.feed_speeds[1]
     spent = costs(config, shaken, here + back, held[:, 1] * here + config.air_supply_rates[0] * back)
-    # what the way in shook was charged already, and a silent way back gives it again
+    # the vibration of the insertion is already charged; a withdrawal without vibration refunds it
     refund = spent["vibration"] if config.inspects == "best" else 0.0
-    left = np.where(forth, length - passes.start, to_pass)
-    metres = unseen if config.inspects == "best" else left
-    worth = config.progress_weight * metres + refund - spent["time"] - spent["air"]
-    lost = -uninspected_weight(config) * (unseen + left)
-    return np.where(episodes.running, np.where(is_slack(episodes), lost, worth), 0.0)
+    left = np.where(inserting, length - passes.start, to_pass)
+    metres = uninspected if config.inspects == "best" else left
+    reward = config.progress_weight * metres + refund - spent["time"] - spent["air"]
+    lost_drive = -uninspected_weight(config) * (uninspected + left)
+    return np.where(episodes.running, np.where(is_slack(episodes), lost_drive, reward), 0.0)

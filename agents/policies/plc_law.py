@@ -1,11 +1,10 @@
-"""Feedback laws for a PLC: fast with little air up to an onset length, then slow with all the air; ten constants.
+"""Feedback laws for a PLC: fast feed and least air up to an onset length, then slow feed and most air; ten constants.
 
-The best schedules of the vibration map all have this form. Onset and slow feed depend on the friction, estimated from
-the root tension, and on the helix diameter; measured noise shifts the length that counts.
+The best schedules of the vibration map have this form. Onset and slow feed depend on the friction, estimated from the
+root tension, and on the helix diameter; measured noise changes the effective length.
 
-``TrimmedLaw`` adds integral action: past the onset its feed is trimmed until the noise meets an aim. The feed at which
-a probe begins to ring is a sharp limit, different in every tube, but its ratio to the law's feed varies little along a
-tube. The feed is lowered faster than raised, since ringing costs more than time.
+``PlcIntegral`` adds integral action: beyond the onset, the feed is trimmed until the noise equals a target. The feed
+decreases faster than it increases, since vibration costs more than time.
 """
 
 from __future__ import annotations
@@ -29,24 +28,24 @@ from probe_env.settings import Model, quantity
 FRICTION: Final = 0.175
 DIAMETER: Final = 1.5
 LENGTH: Final = 30.0
-"""Friction, helix diameter [m] and length [m] that the constants are counted from."""
+"""Reference friction, helix diameter [m] and length [m] of the constants."""
 CREDIBLE: Final = (0.05, 0.35)
-"""Friction that is believed."""
+"""Range to which the friction estimate is clipped."""
 SHORTEST: Final = 5.0
-"""[m] below which the tension tells nothing of friction."""
+"""Shortest inserted length for the friction estimate [m]."""
 MOST_SHIFT: Final = 0.7
-"""Greatest logarithm of the factor by which noise lengthens or shortens the probe: a factor of two."""
+"""Limit of the logarithm of effective over inserted length: a factor of two."""
 ITERATIONS: Final = 6
-"""Newton's, for the friction: enough for 1e-6 of it (a test)."""
+"""Newton iterations for the friction: relative error below 1e-6 (a test)."""
 STORED: Final = Path(__file__).parent / "data" / "plc-law.json"
 NOISE_AVERAGE: Final = 4.0
-"""Time constant of the average of the logarithm of the noise that is compared with the aim [s]."""
+"""Time constant of the average of the logarithm of the noise that is compared with the target [s]."""
 UNKNOWN_NOISE: Final = 1e-5
-"""Noise at the beginning [m]."""
+"""Initial noise [m]."""
 LOWERED, RAISED = 1.0, 0.5
-"""Greatest logarithm of the ratio of noise and aim that counts, for less feed and for more."""
+"""Limits of the logarithm of noise over target, for decreasing and increasing feed."""
 MOST_TRIM: Final = 0.5
-"""Greatest logarithm of the factor on the feed, either way."""
+"""Limit of the magnitude of the logarithm of the factor on the feed."""
 STORED_TRIM: Final = Path(__file__).parent / "data" / "trimmed-law.json"
 
 
@@ -56,42 +55,42 @@ class Constants(Model):
     average: Annotated[float, quantity(1.0, 1000.0, "s")] = 15.0
     """Time constant of the averages of friction and noise."""
     onset_length: Annotated[float, quantity(1.0, 1000.0, "m")] = 25.0
-    """Length from which feed is slow and air is strong, at ``FRICTION`` and ``DIAMETER``."""
+    """Onset length L1 at ``FRICTION`` and ``DIAMETER``: L0 = L1 (mu / 0.175)^-a (D / 1.5 m)^b."""
     onset_friction: Annotated[float, quantity(-10.0, 10.0, "")] = 1.5
-    """It goes with friction to the minus this,"""
+    """Exponent a."""
     onset_diameter: Annotated[float, quantity(-10.0, 10.0, "")] = 1.0
-    """and with the helix diameter to this."""
+    """Exponent b."""
     slow_feed: Annotated[float, quantity(1e-3, 2.0, "m/s")] = 0.16
-    """Feed past the onset, where ``LENGTH`` is inserted, at ``FRICTION`` and ``DIAMETER``."""
+    """Slow feed u1 at ``LENGTH``, ``FRICTION`` and ``DIAMETER``: u = u1 (L / 30 m)^-c (mu / 0.175)^-d (D / 1.5 m)^e."""
     slow_length: Annotated[float, quantity(-10.0, 10.0, "")] = 0.8
-    """It goes with length to the minus this,"""
+    """Exponent c."""
     slow_friction: Annotated[float, quantity(-10.0, 10.0, "")] = 0.5
-    """with friction to the minus this,"""
+    """Exponent d."""
     slow_diameter: Annotated[float, quantity(-10.0, 10.0, "")] = 0.3
-    """and with the helix diameter to this."""
+    """Exponent e."""
     quiet: Annotated[float, quantity(1e-7, 1e-2, "m")] = 3e-5
-    """Noise, as radial rms, at which length counts as it is,"""
+    """Reference noise v0, as radial rms: effective length L' = L (v / v0)^s."""
     shift: Annotated[float, quantity(0.0, 2.0, "")] = 0.1
-    """else with the factor (noise / quiet) to this."""
+    """Exponent s."""
 
 
 class PlantData(Model):
-    """What the law takes from the plant: no constants of its own."""
+    """Data of the plant that enter the law."""
 
     air_speed_per_supply: float
-    """[m/s] of wind a [m3/s] of supply."""
+    """Wind per air supply [(m/s) / (m3/s)]."""
     drag: float
-    """Of the floats a metre over the square of the wind [N s2/m3], (10)."""
+    """Drag of the floats per metre over the square of the wind [N s2/m3], (10)."""
     float_diameter: float
     """[m]."""
     feed_speeds: tuple[float, float]
     """[m/s]."""
     air_supply_rates: tuple[float, float]
-    """[m3/s], the least that schedules blow, see ``on_map.least_air``, and the most."""
+    """[m3/s]: least air of schedules (``on_map.least_air``) and most air."""
 
     @classmethod
     def of(cls, config: Any) -> Self:
-        """Of a task."""
+        """Read the data from a task."""
         scene: Scene = config.scene
         return cls(
             air_speed_per_supply=air_speed(scene, 1.0), drag=drag_per_metre(scene),
@@ -101,28 +100,28 @@ class PlantData(Model):
 
 
 class Trim(Model):
-    """Its two constants, beside the law's ten."""
+    """The two constants of the integral action."""
 
     aim: Annotated[float, quantity(1e-6, 1e-3, "m")] = 3.5e-5
-    """Noise, as radial rms, at which the feed stays as it is."""
+    """Target noise v_a, as radial rms."""
     time: Annotated[float, quantity(1.0, 10000.0, "s")] = 80.0
-    """In which feed changes by a factor of e where the noise is off by a factor of e."""
+    """Time constant tau: d(ln feed) / dt = ln(v_a / v) / tau."""
 
 
 def read_constants(path: str | Path = STORED) -> Constants:
-    """The ten constants from a file (JSON), see ``read_model``."""
+    """Read the ten constants from a file (JSON), see ``read_model``."""
     return read_model(path, Constants, "the constants of a law", "constants")
 
 
 def read_trim(path: str | Path = STORED_TRIM) -> Trim:
-    """The constants of a trim from a file (JSON), see ``read_model``."""
+    """Read the constants of the integral action from a file (JSON), see ``read_model``."""
     return read_model(path, Trim, "the constants of a trim", "trim")
 
 
 def friction_of(tension: FloatArray, measured: dict[str, FloatArray], plant: PlantData) -> FloatArray:
-    """Friction (n,) of steady sliding by elementary operations: y = (1 - exp(-x)) / x by Newton, x = mu' L / r.
+    """Friction (n,) of steady sliding: solves y = (1 - exp(-x)) / x for x = mu' L / r by Newton's method.
 
-    y is the tension over what the drag would pull without friction.
+    y is the ratio of the tension to the tension without friction.
     """
     length = np.maximum(measured["inserted_length"], SHORTEST)
     wind = plant.air_speed_per_supply * measured["air_supply_rate"] - measured["feed_speed"]
@@ -142,8 +141,8 @@ def law_at(
     """Feed [m/s] and air [m3/s], (n,) each.
 
     Args:
-        constants: the ten.
-        plant: its data.
+        constants: the ten constants.
+        plant: data of the plant.
         averaged: length [m], friction, logarithm of the noise [m] and helix diameter [m], (n,) each.
     """
     c = constants
@@ -158,8 +157,8 @@ def law_at(
 
 
 @dataclass
-class PlcLaw(FixedPolicy):
-    """Acts by the law. Memory: averages of friction and of the logarithm of the noise."""
+class PlcProportional(FixedPolicy):
+    """Applies the law. Memory: averages of friction and of the logarithm of the noise."""
 
     constants: Constants = field(default_factory=read_constants)
     memory: ClassVar[int] = 2
@@ -171,15 +170,15 @@ class PlcLaw(FixedPolicy):
 
     @property
     def domain(self) -> Domain:
-        """Tubes of the map, on which its constants were found."""
+        """Tubes of the vibration map from which the constants were found."""
         return Domain.of_map(stored_map())
 
     def start(self, memory: FloatArray) -> None:
-        """Memory: usual friction, and noise that shifts nothing."""
+        """Memory: reference friction and reference noise."""
         memory[:] = FRICTION, np.log(self.constants.quiet)
 
     def targets(self, measured: dict[str, FloatArray], memory: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """By length, tension, noise and helix diameter."""
+        """Feed and air from length, tension, noise and helix diameter."""
         c, plant = self.constants, self._plant
         weight = gain(self.config, c.average)
         memory[:, 0] += weight * (friction_of(measured["root_tension"], measured, plant) - memory[:, 0])
@@ -192,20 +191,20 @@ class PlcLaw(FixedPolicy):
 
 
 @dataclass
-class TrimmedLaw(PlcLaw):
-    """Acts by the law with its feed trimmed. Memory: the law's, average of the logarithm of the noise, trim."""
+class PlcIntegral(PlcProportional):
+    """Applies the law with trimmed feed. Memory: the law's, average of the logarithm of the noise, trim."""
 
     trim: Trim = field(default_factory=read_trim)
-    memory: ClassVar[int] = PlcLaw.memory + 2
+    memory: ClassVar[int] = PlcProportional.memory + 2
 
     def start(self, memory: FloatArray) -> None:
-        """Memory: the law's, little noise, and no trim."""
-        super().start(memory[:, : PlcLaw.memory])
-        memory[:, PlcLaw.memory :] = np.log(UNKNOWN_NOISE), 0.0
+        """Memory: the law's, low noise, no trim."""
+        super().start(memory[:, : PlcProportional.memory])
+        memory[:, PlcProportional.memory :] = np.log(UNKNOWN_NOISE), 0.0
 
     def targets(self, measured: dict[str, FloatArray], memory: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """The law's, with the feed past the onset trimmed."""
-        feed, air = super().targets(measured, memory[:, : PlcLaw.memory])
+        """Feed and air of the law; the feed beyond the onset is trimmed."""
+        feed, air = super().targets(measured, memory[:, : PlcProportional.memory])
         noise, trim = memory[:, -2], memory[:, -1]
         noise += gain(self.config, NOISE_AVERAGE) * (np.log(np.maximum(measured["rf_noise"], 1e-7)) - noise)
         past = air > self._plant.air_supply_rates[0]  # the onset

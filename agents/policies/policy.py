@@ -1,4 +1,4 @@
-"""The protocol of policies, and the domain that a policy was made for."""
+"""Protocol of policies, and the domain of a policy: the tubes that it was made for."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def _checked(ranges: dict[str, tuple[float, float]]) -> dict[str, tuple[float, f
         if name not in CONTEXT:
             text = f"{name!r} is none of {', '.join(CONTEXT)}"
         elif low > high:
-            text = f"{name}: {low:g} to {high:g} is no range, the least comes first"
+            text = f"{name}: low = {low:g} is above high = {high:g}"
         else:
             continue
         raise PydanticCustomError("range", "{text}", {"text": text})
@@ -54,7 +54,7 @@ M = TypeVar("M", bound=Model)
 
 
 def read_model(path: str | Path, model: type[M], what: str, key: str | None = None) -> M:
-    """A JSON file, or the value of one key in it, as a model; ``what`` it should be is for the error.
+    """Read a JSON file, or the value of one key in it, as a model; ``what`` names the content in errors.
 
     Raises:
         FileNotFoundError: no such file.
@@ -70,7 +70,7 @@ def read_model(path: str | Path, model: type[M], what: str, key: str | None = No
 
 
 class OutsideDomain(UserWarning):
-    """A policy runs outside the domain that it was made for."""
+    """Warns when a policy runs outside its domain."""
 
 
 @dataclass(frozen=True)
@@ -78,10 +78,10 @@ class Domain:
     """The tubes that a policy was made for.
 
     Attributes:
-        ranges: of fields of ``Context``.
-        inner_diameter: of the tubes [m].
-        helix_length: the greatest [m].
-        probe: the probe; None: any.
+        ranges: smallest and largest value of each field of ``Context``.
+        inner_diameter: bore of the tubes [m].
+        helix_length: largest helix length [m].
+        probe: probe; None: any probe.
     """
 
     ranges: dict[str, tuple[float, float]]
@@ -98,7 +98,7 @@ class Domain:
         return cls(ranges, tube.inner_diameter, tube.helix_length, None if any_probe else vibration.scene.probe)
 
     def outside(self, config: TaskConfig, contexts: Iterable[Context]) -> list[str]:
-        """Deviations of a task and its tubes from the domain: field, value and range of each."""
+        """Texts with field, value and range of everything in a task and its tubes that is outside the domain."""
         scene, deviations = config.scene, []
         if not math.isclose(scene.tube.inner_diameter, self.inner_diameter, rel_tol=1e-3):
             deviations.append(f"inner_diameter = {scene.tube.inner_diameter:g} m, not {self.inner_diameter:g} m")
@@ -106,7 +106,7 @@ class Domain:
             deviations.append(f"helix_length = {scene.tube.helix_length:g} m, beyond {self.helix_length:g} m")
         if self.probe is not None and scene.probe != self.probe:
             names = (name for name in Probe.model_fields if getattr(scene.probe, name) != getattr(self.probe, name))
-            deviations.append(f"probe: another {', '.join(names)}")
+            deviations.append(f"probe: different {', '.join(names)}")
         tubes = list(contexts)
         for name, (low, high) in self.ranges.items():
             values, unit = [getattr(tube, name) for tube in tubes], UNITS[name]
@@ -117,7 +117,7 @@ class Domain:
 
 
 def ranges_of(contexts: Contexts) -> dict[str, tuple[float, float]]:
-    """Ranges of the fields of tubes, which may themselves be given as ranges."""
+    """Smallest and largest value of each field over tubes, or over ranges of tubes."""
     tubes = checked_contexts(contexts)
     parts = [tubes] if isinstance(tubes, Ranges) else tubes
     values = {name: np.hstack([getattr(part, name) for part in parts]) for name in CONTEXT}
@@ -130,7 +130,7 @@ def check_domains(
     """Warn about every policy that runs outside its domain.
 
     Raises:
-        ValueError: ``strict``, and a policy does.
+        ValueError: ``strict`` is set and a policy is outside its domain.
     """
     for name, domain in domains.items():
         deviations = domain.outside(config, contexts) if domain else []

@@ -1,4 +1,4 @@
-"""Reads bundles of trained agents without torch, and prints those that ship."""
+"""Reads bundles of trained agents without torch, and prints the shipped agents."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ RESTORE: Final = "restore the file, or train again"
 
 
 def read_weights(path: Path) -> tuple[str, str, dict[str, npt.NDArray[Any]]]:
-    """Description (JSON text), hash and weights of an agent's bundle.
+    """Read description (JSON text), hash and weights of a bundle.
 
     Raises:
         FileNotFoundError: no such file.
-        FileError: not a safetensors file with such a description.
+        FileError: not a safetensors file with description and hash.
     """
     content = read_bytes(path, MOST_BYTES)
     try:
@@ -39,7 +39,7 @@ def read_weights(path: Path) -> tuple[str, str, dict[str, npt.NDArray[Any]]]:
 
 
 def print_agents() -> None:
-    """Print all agents that ship, a paragraph each.
+    """Print a paragraph for each shipped agent.
 
     Raises:
         FileError: a bundle or a training file is not valid.

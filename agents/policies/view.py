@@ -1,4 +1,4 @@
-"""What a trained agent sees and how its actions are meant: the same in training, evaluation and pictures."""
+"""Features and actions of a trained agent: equal in training, evaluation and pictures."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy.typing as npt
 from pydantic import BeforeValidator, Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from agents.policies.plc_law import Constants, PlcLaw, read_constants
+from agents.policies.plc_law import Constants, PlcProportional, read_constants
 from probe_env.envs.task import TaskConfig, action_of, share_between, share_of, value_at
 from probe_env.envs.task.observations import in_si_units
 from probe_env.envs.task.scales import OBSERVATIONS
@@ -24,21 +24,19 @@ CREDIBLE, MIDDLE, HALF_RANGE = (0.05, 0.35), 0.175, 0.075
 
 
 def guide_of(guide: Any) -> Any:
-    """The constants of a law that is named: kept with the agent, whatever becomes of the shipped ones."""
+    """Replace the name of a law by its constants, which are stored with the agent."""
     return read_constants() if guide in ("plc-proportional", "plc-law") else guide
 
 
 class View(Model):
-    """Some of the task's observations with their running averages, and a logarithmic feed action.
+    """Some of the task's observations with running averages, and a logarithmic feed action.
 
-    ``friction_estimate`` adds the friction that steady sliding would need for the measured root tension. Averages are
-    the memory that a controller needs to guess friction from noisy windows. Feed speed spans a factor of 20, so equal
-    steps of an action are equal ratios of speed. The agent's air action spans what the task allows, but nothing below
-    ``least_air_supply_rate`` [m3/s]: too little air loses the drive, which is rare enough for training to miss.
-    Without ``logarithmic_feed`` a feed action is the task's own.
+    ``friction_estimate`` adds the friction estimated from the root tension. Equal steps of the feed action are equal
+    ratios of speed; without ``logarithmic_feed`` it is the task's action. The air action spans the task's range above
+    ``least_air_supply_rate`` [m3/s]: less air loses the drive, which is too rare in training to be learnt.
 
-    With a ``guide``, the ten constants of a law, the agent corrects it: it sees the law's action, and its own is added.
-    An agent that does nothing then acts as the law does.
+    With a ``guide``, the ten constants of a law, the features include the law's action, and the agent's action is added
+    to it. Action 0 then equals the law.
     """
 
     observations: Annotated[tuple[str, ...], Field(min_length=1, max_length=64)] = tuple(OBSERVATIONS)
@@ -69,17 +67,17 @@ class View(Model):
         return features, gym.spaces.Box(-1.0, 1.0, (2,), dtype=np.float32)
 
     def columns(self, config: TaskConfig) -> list[int]:
-        """Places of its observations among the task's.
+        """Indices of its observations among the task's.
 
         Raises:
-            ValueError: the task does not show one of them, or blows less than ``least_air_supply_rate`` at most.
+            ValueError: the task lacks one of them, or its most air is not above ``least_air_supply_rate``.
         """
         names = list(config.observations)
         missing = [name for name in self.observations if name not in names]
         if missing:
             raise ValueError(
-                f"observations = {', '.join(missing)} are not shown by this task: {', '.join(names)}"
-                + ('; an agent that sees the way is for passes = "both"' if "way" in missing else "")
+                f"observations = {', '.join(missing)} are not observed in this task: {', '.join(names)}"
+                + ('; "way" needs passes = "both"' if "way" in missing else "")
             )
         if self.least_air_supply_rate >= config.air_supply_rates[1]:
             raise ValueError(
@@ -91,13 +89,13 @@ class View(Model):
     def features(
         self, config: TaskConfig, rows: Rows, memory: Rows | None, new: npt.NDArray[np.bool_]
     ) -> tuple[npt.NDArray[np.float32], Rows]:
-        """Features (N, size) of observations (N, d), and the memory (N, m) to give back next time.
+        """Features (N, size) of observations (N, d), and the memory (N, m) for the next call.
 
         Args:
-            config: the task that the observations are of.
+            config: task of the observations.
             rows: observations (N, d).
-            memory: what the last call returned, averages and what the guide remembers; None: all episodes are new.
-            new: (N,) where an episode begins.
+            memory: result of the last call: averages and memory of the guide; None: all episodes are new.
+            new: (N,) whether an episode begins.
         """
         visible = np.asarray(rows, dtype=np.float32)[:, self.columns(config)]
         if self.friction_estimate:
@@ -113,17 +111,17 @@ class View(Model):
         averages = np.where(new[:, None], repeated, before + gains * (repeated - before)).astype(np.float32)
         if self.guide is None:
             return np.concatenate([visible, averages], axis=1), averages
-        remembered = None if memory is None else (memory[:, width:],)
-        guide, (remembers,) = _guide(config, self.guide).predict(np.asarray(rows), remembered, new)
-        correctable = self.agent_actions(config, guide)
-        return np.concatenate([visible, averages, correctable], axis=1), np.concatenate([averages, remembers], axis=1)
+        guide_state = None if memory is None else (memory[:, width:],)
+        guide, (of_guide,) = _guide(config, self.guide).predict(np.asarray(rows), guide_state, new)
+        guided = self.agent_actions(config, guide)
+        return np.concatenate([visible, averages, guided], axis=1), np.concatenate([averages, of_guide], axis=1)
 
     def guided(self, features: npt.NDArray[np.float32]) -> npt.NDArray[np.float32] | None:
-        """(N, 2) what the guide would do, in the agent's terms, as features (N, size) say; None without a guide."""
+        """(N, 2) actions of the guide in the agent's encoding, from features (N, size); None without a guide."""
         return None if self.guide is None else features[:, -2:]
 
     def env_actions(self, config: TaskConfig, actions: Rows, guided: Rows | None = None) -> npt.NDArray[np.float32]:
-        """(N, 2) actions of the environment for the agent's, which correct ``guided``: feed is of the logarithm."""
+        """(N, 2) actions of the environment for the agent's actions, which are added to ``guided``."""
         actions = np.asarray(actions, dtype=np.float64)
         if guided is not None:
             actions = np.clip(actions + guided, -1.0, 1.0)
@@ -137,7 +135,7 @@ class View(Model):
         return np.clip(encoded, -1.0, 1.0)
 
     def agent_actions(self, config: TaskConfig, actions: Rows, guided: Rows | None = None) -> npt.NDArray[np.float32]:
-        """(N, 2) the inverse of ``env_actions``; what lies below its least feed or air becomes the least."""
+        """(N, 2) inverse of ``env_actions``; feed and air below the least are clipped."""
         low, high = config.feed_speeds
         share = share_of(np.asarray(actions, dtype=np.float64))
         feed = value_at(share[:, 0], (low, high))
@@ -153,4 +151,4 @@ class View(Model):
         return float(share_between(max(self.least_air_supply_rate, range_[0]), range_))
 
 
-_guide = lru_cache(maxsize=64)(PlcLaw)
+_guide = lru_cache(maxsize=64)(PlcProportional)

@@ -1,4 +1,4 @@
-"""Policies around a policy: a shield that keeps a margin of drive, a schedule for the withdrawal."""
+"""Policies around a policy: a shield that maintains a margin of drive, and a schedule for the withdrawal."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ from probe_env.physics.model.chain import air_speed
 from probe_env.schedule import Schedule
 
 PREFIX: Final = "shielded:"
-"""Before a policy's name: with the shield."""
+"""Prefix of a policy's name that adds the shield."""
 FRICTIONS: Final = (0.02, 1.0)
-"""Range of the friction that a shield reads from the tension; drag that differs reads as friction as well."""
+"""Range of the friction estimate of a shield; an error of the drag appears as friction as well."""
 LAGS_AHEAD: Final = 12.0
-"""Lags of the air after which it has come: three of them, under a time-lapse of four."""
+"""Response time of the air in units of its lag: three lags, at a time-lapse of four."""
 SIGNED: Final = ("feed_speed", "air_supply_rate", "root_tension")
-"""Observations that change their sign with the direction."""
+"""Observations whose sign depends on the direction."""
 
 
 class _Wrapper(ABC):
-    """SB3's ``predict`` by a method for (N, d) observations."""
+    """Base class: SB3's ``predict`` from a method for (N, d) observations."""
 
     def predict(
         self,
@@ -38,7 +38,7 @@ class _Wrapper(ABC):
         episode_start: BoolArray | None = None,
         deterministic: bool = False,
     ) -> tuple[npt.NDArray[np.float32], Any]:
-        """Actions for observations (d,) or (N, d), and the state to give back next time."""
+        """Actions for observations (d,) or (N, d), and the state for the next call."""
         actions, state = self._act(np.atleast_2d(observation), state, episode_start, deterministic)
         return (actions[0] if np.ndim(observation) == 1 else actions), state
 
@@ -51,19 +51,18 @@ class _Wrapper(ABC):
 
 @dataclass
 class Shielded(_Wrapper):
-    """A policy whose feed and air keep a margin of drive; within the margin its actions are unchanged.
+    """A policy whose feed and air maintain a margin of drive; within the margin its actions are unchanged.
 
-    The root tension gives the friction (closed form of steady sliding), and with it the tension that the policy's feed
-    and air would give. It goes with the square of the wind relative to the probe, w = Q / (a - A_c) - u. The task's
-    range of Q changes w by some 70 m/s, that of u by 0.4 m/s: the nearest feed and air with enough wind are more air,
-    and slower feed is the last resort.
+    The friction estimated from the root tension gives the tension at the requested feed and air, proportional to the
+    square of the wind w = Q / (a - A_c) - u. The range of Q changes w by about 70 m/s, that of u by 0.4 m/s, so the
+    shield increases the air and reduces the feed only if that is not enough.
 
     Attributes:
-        config: the task that it acts in.
-        policy: made for this task.
-        margin: root tension to keep, over the one that the drive needs.
+        config: task that it acts in.
+        policy: policy for this task.
+        margin: ratio of root tension to required tension.
         average: time constant of the average of the friction [s].
-        prior: friction at the beginning of an episode.
+        prior: friction at the start of an episode.
     """
 
     config: TaskConfig
@@ -76,11 +75,11 @@ class Shielded(_Wrapper):
         if not 1.0 <= self.margin <= 100.0:
             raise ValueError(f"margin = {self.margin!r} is outside the accepted range 1 to 100")
         if not self.config.observe_root_tension:
-            raise ValueError("a shield needs a task that shows the root tension")
+            raise ValueError("the shield needs the root tension (observe_root_tension = true)")
 
     @property
     def domain(self) -> Domain | None:
-        """That of the policy."""
+        """Domain of the policy."""
         return getattr(self.policy, "domain", None)
 
     def _act(
@@ -106,64 +105,64 @@ class Shielded(_Wrapper):
         return {"policy": type(self).__name__, **settings, "of": self.policy.describe()}
 
     def _safe(self, targets: FloatArray, measured: dict[str, FloatArray], friction: FloatArray) -> FloatArray:
-        """(N, 2) feed speed [m/s] and air supply [m3/s] nearest to the targets (N, 2) that keep the margin."""
+        """(N, 2) feed speed [m/s] and air supply [m3/s] nearest to the targets (N, 2) that satisfy the margin."""
         config, air_speed_of_unit = self.config, air_speed(self.config.scene, 1.0)
         unit = {"feed_speed": 0.0 * friction, "air_supply_rate": np.full(len(targets), 1.0 / air_speed_of_unit)}
         in_unit_wind = sliding_tension(friction, measured | unit, config.scene)
         needed = np.sqrt(self.margin * config.required_tension / in_unit_wind)
         feed, air = targets.T
-        # the drive counts from a length on; until then the air must have come
+        # lost drive is scored beyond a length; the air must have reached its target by then
         ahead = config.feed_speeds[1] * (LAGS_AHEAD * config.air_lag + (config.delay_periods + 1) * config.period)
         short = (air * air_speed_of_unit - feed < needed) & (
             measured["inserted_length"] >= config.lost_drive_from - ahead
         )
         more = (needed + feed) / air_speed_of_unit
-        if config.air_supply_step > 0.0:  # the next whole step, not the nearest
+        if config.air_supply_step > 0.0:  # the next larger step, not the nearest
             more = config.air_supply_step * np.ceil(more / config.air_supply_step - 1e-9)
         more = np.clip(more, *config.air_supply_rates)
         slower = np.clip(more * air_speed_of_unit - needed, config.feed_speeds[0], None)
         return np.column_stack([np.where(short, np.minimum(feed, slower), feed), np.where(short, more, air)])
 
 
-def fastest_back(config: TaskConfig) -> Schedule:
-    """The fastest withdrawal of the feed device, with the study's air or the nearest possible."""
+def fastest_withdrawal(config: TaskConfig) -> Schedule:
+    """The fastest withdrawal of the feed device, with the air of the study or the nearest possible."""
     feed, air = config.feasible(config.feed_speeds[1], STUDY_AIR)[0]
     return Schedule("inserted_length", "linear", (0.0,), (float(feed),), (float(air),))
 
 
 @dataclass
-class BothWays(_Wrapper):
+class RoundTripPolicy(_Wrapper):
     """A policy for the insertion, and a schedule over inserted length for the withdrawal.
 
     Attributes:
         config: the task of both passes.
-        forth: policy of the insertion, made for ``way_in`` of the task.
-        back: schedule of the withdrawal.
+        insertion: policy of the insertion, made for ``insertion_task`` of the task.
+        withdrawal: schedule of the withdrawal.
     """
 
     config: TaskConfig
-    forth: Policy
-    back: Schedule
+    insertion: Policy
+    withdrawal: Schedule
 
     def _act(
         self, rows: npt.NDArray[np.floating], state: Any, start: BoolArray | None, deterministic: bool
     ) -> tuple[npt.NDArray[np.float32], Any]:
-        """Actions; in the withdrawal the inner policy gets feed, air and tension without signs, and is not heeded."""
+        """Actions; in the withdrawal they are the schedule's, and the inner policy gets observations without signs."""
         names, measured = list(self.config.observations), in_si_units(self.config, rows)
-        back, visible = measured["way"] < 0.0, rows.copy()
+        withdrawn, visible = measured["way"] < 0.0, rows.copy()
         for column in (k for k, name in enumerate(names) if name in SIGNED):
-            visible[back, column] = np.abs(visible[back, column])
+            visible[withdrawn, column] = np.abs(visible[withdrawn, column])
         visible = np.delete(visible, names.index("way"), axis=1)
-        actions, state = self.forth.predict(visible, state, start, deterministic)
-        withdrawal = self.config.actions(*self.back.at(measured["inserted_length"])).astype(np.float32)
-        return np.where(back[:, None], withdrawal, np.atleast_2d(actions)), state
+        actions, state = self.insertion.predict(visible, state, start, deterministic)
+        withdrawal = self.config.actions(*self.withdrawal.at(measured["inserted_length"])).astype(np.float32)
+        return np.where(withdrawn[:, None], withdrawal, np.atleast_2d(actions)), state
 
     def describe(self) -> dict[str, Any]:
         """JSON-ready description."""
-        way_back = {name: getattr(self.back, name) for name in ("position", "feed_speed", "air_supply_rate")}
-        return {"policy": type(self).__name__, "forth": self.forth.describe(), "back": way_back}
+        schedule = {name: getattr(self.withdrawal, name) for name in ("position", "feed_speed", "air_supply_rate")}
+        return {"policy": type(self).__name__, "forth": self.insertion.describe(), "back": schedule}
 
 
-def way_in(config: TaskConfig) -> TaskConfig:
+def insertion_task(config: TaskConfig) -> TaskConfig:
     """The task of the insertion alone."""
     return config.model_copy(update={"passes": "in"})

@@ -20,9 +20,9 @@ from agents.evaluation.workers import HERE, Workers
 from agents.policies.cases import EvaluationCase, case_of, map_of, plant_at, with_probe
 from agents.policies.catalogue import named_policies
 from agents.policies.fixed import Scheduled
-from agents.policies.law import Lawful
+from agents.policies.law import LawPolicy
 from agents.policies.policy import OutsideDomain, Policy
-from agents.policies.wrappers import BothWays
+from agents.policies.wrappers import RoundTripPolicy
 from agents.studies.spec import Changes, Study
 from probe_env import Plant
 from probe_env.envs.task import TaskConfig
@@ -89,19 +89,19 @@ def _setting(study: Study, fidelity: str, changes: Changes) -> Setting:
         plant, update = plant_at(tube), _under("plant", study.set | changes)
         if update:
             plant = (plant or Plant()).model_copy(update=update)
-        place = case_of(plant, study.contexts, study.limit, map_of(tube, plant))
-        unvaried = _changed(place.config.full_observation, study.set)
+        case = case_of(plant, study.contexts, study.limit, map_of(tube, plant))
+        unvaried = _changed(case.config.full_observation, study.set)
         config = _changed(unvaried, changes)
         accuracy = resolve_fidelity(fidelity, config.scene, config.growing, config.returns)
         if update := _under("fidelity", study.set | changes):
             accuracy = resolve_fidelity(accuracy.model_copy(update=update), config.scene, both_ways=config.returns)
         known = config if study.policies_know == "varied task" else unvaried
-        policies, members = _policies(study, known, place, plant)
+        policies, members = _policies(study, known, case, plant)
     except (ValueError, TypeError) as error:
         problem = explain(error) if isinstance(error, ValidationError) else str(error)
         where = ", ".join(f"{name} = {value!r}" for name, value in (study.set | changes).items())
         raise ValueError(f"{where}: {problem}" if where else problem) from error
-    plan = Plan(policies, place.contexts, study.seeds, config, accuracy)
+    plan = Plan(policies, case.contexts, study.seeds, config, accuracy)
     values = {"fidelity": fidelity} | {name: _value(name, changes, config, plan.fidelity) for name in study.varied}
     return Setting(values, plan, members, _folder(values))
 
@@ -140,7 +140,7 @@ def _value(name: str, changes: Changes, config: TaskConfig, fidelity: Fidelity) 
 
 
 def _policies(
-    study: Study, config: TaskConfig, place: EvaluationCase, plant: Plant | None
+    study: Study, config: TaskConfig, case: EvaluationCase, plant: Plant | None
 ) -> tuple[dict[str, Policy], dict[str, Changes]]:
     """Policies by the names that the plan gives them, and their columns."""
     policies: dict[str, Policy] = {}
@@ -149,7 +149,7 @@ def _policies(
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", OutsideDomain)  # that is what a study asks
             recommended = {spec: _recommended(spec, config, plant)} if spec in RECOMMENDED else {}
-            base = recommended or named_policies([spec], config, place.vibration)
+            base = recommended or named_policies([spec], config, case.vibration)
         for name, policy in base.items():
             member = " ".join((name, *(f"{key}={value}" for key, value in parameters.items())))
             if member in policies:
@@ -165,8 +165,8 @@ def _with(policy: Any, name: str, parameters: Mapping[str, Any]) -> Any:
     Raises:
         ValueError: no such parameter, or a value of another kind.
     """
-    if isinstance(policy, BothWays):
-        return replace(policy, forth=_with(policy.forth, name, parameters))
+    if isinstance(policy, RoundTripPolicy):
+        return replace(policy, insertion=_with(policy.insertion, name, parameters))
     own = fields(policy) if is_dataclass(policy) else ()
     known = [part.name for part in own if part.name not in ("config", "vibration")]
     for key, value in parameters.items():
@@ -180,13 +180,13 @@ def _with(policy: Any, name: str, parameters: Mapping[str, Any]) -> Any:
 
 def _recommended(name: str, config: TaskConfig, plant: Plant | None) -> Policy:
     """What the calibrated response recommends for a plant, searched on training tubes."""
-    from agents.plant.recommendation import recommended, recommended_law
+    from agents.plant.recommendation import optimal_law, optimal_schedule
     from agents.plant.response import stored_response
 
     tubes, response = case_of(plant, "train").contexts, stored_response()
     if name == "recommended":
-        return Scheduled(config, recommended(tubes, response, config).schedule)
-    return Lawful(config, law=recommended_law(tubes, response, config))
+        return Scheduled(config, optimal_schedule(tubes, response, config).schedule)
+    return LawPolicy(config, law=optimal_law(tubes, response, config))
 
 
 def _folder(values: Changes) -> str:

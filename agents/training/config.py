@@ -1,4 +1,4 @@
-"""A training run as a TOML file with every setting, validated before any work, and the search space of ``tune``."""
+"""Training file (TOML) with all settings of a run, validated before it starts, and the search space of ``tune``."""
 
 from __future__ import annotations
 
@@ -36,56 +36,55 @@ LIMITS: Final[dict[str, tuple[float, float]]] = {
 }  # fmt: skip
 """Accepted values of ``learning``, both included; integers only where the bounds are."""
 UNLIMITED: Final = ("normalize_advantage", "target_entropy")
-"""Other accepted names of ``learning``; what else an algorithm takes is set by other fields, or is no number."""
+"""Other accepted names of ``learning``; all other arguments of an algorithm are set by other fields."""
 Count = Annotated[int, Field(ge=1)]
 
 
 class Environments(Model):
-    """What the agent is trained in."""
+    """Environments of the training."""
 
     env_id: EnvId = "probe_env/Insertion-v1"
     tube: Annotated[Plant | None, BeforeValidator(plant_of)] = None
-    """A plant of one's own: the path of its ``tube.toml``, or its fields."""
+    """Your plant: path of its ``tube.toml``, or its fields."""
     map_beside: str | None = None
-    """The plant's file, or the name of one that ships, beside which the map is that the teacher looks things up in
-    (``train --tube`` says it); default: the shipped map."""
+    """Plant file, or name of a shipped one, next to which the vibration map of the teacher is (set by
+    ``train --tube``); default: the shipped map."""
     num_envs: Annotated[int, Field(ge=1, le=1024)] = 16
     contexts: NamedContexts = "train"
     probes: Probes = "scene"
-    """"random": every episode has a probe of its own."""
+    """"random": every episode has another probe."""
     fidelity: str | Fidelity = "fast"
-    """Of the simulation; "surrogate" predicts from the vibration map instead."""
+    """Fidelity of the simulation; "surrogate" replaces it by the vibration map."""
     task: Annotated[dict[str, Any], AfterValidator(tuples)] = Field(default_factory=dict)
     reward_scale: Annotated[float, quantity(1e-6, 1e6, "")] = 1.0
 
 
 class Imitation(Model):
-    """Warm start: imitate a teacher on the states that the agent itself gets into (DAgger), before the first update."""
+    """Warm start: the agent imitates a teacher in the states that the agent visits (DAgger)."""
 
     teacher: str = "privileged"
     rounds: Count = 3
     steps: Count = 8192
-    """Environment steps of a round."""
+    """Environment steps per round."""
     epochs: Count = 20
     learning_rate: Annotated[float, quantity(1e-8, 1.0, "")] = 1e-3
 
 
 class Validation(Model):
-    """Where the best model is chosen."""
+    """Tubes and fidelity in which the best model is selected."""
 
     contexts: Split = "validation"
     limit: Annotated[int, Field(ge=0)] = 12
-    """So many contexts, the first of the list; 0: all."""
+    """Number of tubes, from the start of the list; 0: all."""
     fidelity: str | Fidelity = "fast"
 
 
 class Training(Model):
     """A training run.
 
-    ``learning`` holds arguments of SB3's algorithm by their own names (``n_steps``, ``learning_rate``, ``gamma``, ...).
-    A phase is what is done between two checkpoints: all environments begin anew at its start, and at its end the agent
-    is validated. ``observations`` of the view default to all that the task shows. ``search`` is for
-    ``probe-env tune`` alone: table -> field -> choices or a range, see ``axes_of``.
+    ``learning`` holds arguments of SB3's algorithm (``n_steps``, ``gamma``, ...). A phase begins with
+    a reset of all environments and ends with validation and a checkpoint. ``search`` is used by ``probe-env tune``
+    only: table -> field -> choices or a range, see ``axes_of``.
     """
 
     algorithm: Algorithm = "ppo"
@@ -95,9 +94,9 @@ class Training(Model):
     averages: tuple[float, ...] = (5.0, 20.0)
     friction_estimate: bool = False
     least_air_supply_rate: Annotated[float, quantity(0.0, 0.2, "m3/s")] = 0.0
-    """The agent never blows less; 0: the task's own least."""
+    """Least air of the agent; 0: that of the task."""
     guide: Annotated[Constants | None, BeforeValidator(guide_of)] = None
-    """A law that the agent corrects, "plc-proportional" or its ten constants; see ``View``."""
+    """Law to which the agent's actions are added: "plc-proportional" or its ten constants; see ``View``."""
     learning: dict[str, int | float | bool] = Field(default_factory=dict)
     imitation: Imitation | None = None
     validation: Validation = Validation()
@@ -109,7 +108,7 @@ class Training(Model):
     def _fits(self) -> Self:
         try:
             assert self.task
-        except ValidationError as error:  # pydantic would tell its fields as if they were this model's
+        except ValidationError as error:  # pydantic would report its fields as fields of this model
             raise PydanticCustomError("task", "{text}", {"text": explain(error, "environment.task")}) from error
         arguments = inspect.signature(ALGORITHMS[self.algorithm][0].__init__).parameters
         accepted = [name for name in arguments if name in LIMITS or name in UNLIMITED]
@@ -124,13 +123,15 @@ class Training(Model):
                 text = f"learning.{name} = {value!r} is outside the accepted range {low:.16g} to {high:.16g}{note}"
                 raise PydanticCustomError("limits", "{text}", {"text": text})
         if self.imitation is not None and self.algorithm != "ppo":
-            raise PydanticCustomError("imitation", f"imitation needs algorithm = 'ppo' (given: {self.algorithm!r})")
+            raise PydanticCustomError("imitation", f"imitation needs algorithm = 'ppo' (not {self.algorithm!r})")
         if len(set(self.seeds)) != len(self.seeds) or not self.seeds:
-            raise PydanticCustomError("seeds", f"seeds = {list(self.seeds)!r} must be at least one, and none twice")
+            raise PydanticCustomError("seeds", f"seeds = {list(self.seeds)!r} must be one or more different numbers")
         if self.phases == 0 and self.imitation is None:
-            raise PydanticCustomError("phases", "phases = 0 without [imitation] leaves nothing to train")
+            raise PydanticCustomError("phases", "phases = 0 without [imitation] means no training")
         if is_surrogate(self.validation.fidelity):
-            raise PydanticCustomError("fidelity", "validation.fidelity = 'surrogate': agents are chosen by simulation")
+            raise PydanticCustomError(
+                "fidelity", "validation.fidelity = 'surrogate': agents must be validated by simulation"
+            )
         task = self.task
         trained = resolve_fidelity(self.environment.fidelity, task.scene, both_ways=task.returns)
         for fidelity in (trained, self.validation_fidelity):
@@ -148,18 +149,18 @@ class Training(Model):
         return self
 
     def to_toml(self) -> str:
-        """The training as TOML text, with every setting but the search."""
+        """The training as TOML text, with all settings except the search."""
         return tomli_w.dumps(self.model_dump(mode="json", exclude_none=True, exclude={"search"}))
 
     @property
     def task(self) -> TaskConfig:
-        """The task that the agent learns, as given."""
+        """Task of the training."""
         defaults = ENVIRONMENTS[self.environment.env_id].defaults
         return resolve_settings(defaults, self.environment.task, {"tube": self.environment.tube})[0]
 
     @property
     def trained_in(self) -> Contexts:
-        """Tubes that are trained in: a shipped list or ranges, or those of the plant."""
+        """Tubes of the training: a shipped list, ranges, or those of the plant."""
         plant, named = self.environment.tube, self.environment.contexts
         if plant is None:
             return named
@@ -167,32 +168,32 @@ class Training(Model):
 
     @property
     def validated_in(self) -> tuple[Context, ...]:
-        """Tubes in which the best model is chosen."""
+        """Tubes in which the best model is selected."""
         return case_of(self.environment.tube, self.validation.contexts, self.validation.limit).contexts
 
     @property
     def validation_fidelity(self) -> Fidelity:
-        """Settings of the simulation in which the best model is chosen."""
+        """Simulation settings of the validation."""
         return resolve_fidelity(self.validation.fidelity, self.task.scene, both_ways=self.task.returns)
 
     @property
     def vibration(self) -> VibrationMap | None:
-        """The plant's own map, for the teacher and for fidelity "surrogate"; None: the shipped one."""
-        beside = self.environment.map_beside
-        return None if beside is None else map_of(Path(beside), self.environment.tube)
+        """Vibration map of the plant, for the teacher and for fidelity "surrogate"; None: the shipped one."""
+        file = self.environment.map_beside
+        return None if file is None else map_of(Path(file), self.environment.tube)
 
     @property
     def teacher(self) -> Policy | None:
-        """Who is imitated first."""
+        """Policy that is imitated; None: none."""
         if self.imitation is None:
             return None
         return make_policy(
             self.imitation.teacher, self.task.full_observation, self.vibration
-        )  # may look at more than it
+        )  # may use more observations than the agent
 
     @property
     def view(self) -> View:
-        """What the agent sees."""
+        """Features and actions of the agent."""
         return View(
             observations=tuple(self.task.observations),
             averages=self.averages,
@@ -246,7 +247,7 @@ USUAL: Final[dict[str, dict[str, Axis]]] = {
         "learning.gradient_steps": (1, 2, 4, 8),
     },
 }  # fmt: skip
-"""Search space of an algorithm for files without ``[search]``, besides the rollouts that fill phases."""
+"""Search space of an algorithm for files without ``[search]``; rollouts that fill phases are added."""
 
 
 def axes_of(training: Training) -> dict[str, Axis]:
@@ -264,7 +265,7 @@ def axes_of(training: Training) -> dict[str, Axis]:
     for table, fields in training.search.items():
         if table not in tables:
             accepted = ", ".join(tables)
-            raise _search_error(f".{table}", f"is nothing of this file that can be searched; accepted: {accepted}")
+            raise _search_error(f".{table}", f"cannot be searched in this file; accepted: {accepted}")
         for field, value in fields.items():
             try:
                 axes[f"{table}.{field}"] = _axis(training.model_copy(update={"search": None}), table, field, value)
@@ -272,15 +273,15 @@ def axes_of(training: Training) -> dict[str, Axis]:
                 problem = explain(error) if isinstance(error, ValidationError) else str(error)
                 raise _search_error(f".{table}.{field}", problem) from error
     if not axes:
-        raise _search_error("", "names nothing to search")
+        raise _search_error("", "is empty")
     return axes
 
 
 def with_values(training: Training, point: Mapping[str, Any]) -> Training:
-    """The training with these values of fields, such as "learning.gamma".
+    """The training with other values of fields, such as "learning.gamma".
 
     Raises:
-        ValidationError: it does not accept them.
+        ValidationError: a value is not accepted.
     """
     update: dict[str, dict[str, Any]] = {"learning": dict(training.learning)}
     for name, value in point.items():
@@ -290,7 +291,7 @@ def with_values(training: Training, point: Mapping[str, Any]) -> Training:
 
 
 def value_in(training: Training, name: str) -> Any:
-    """The value of a field in a training, for ``learning`` by default the algorithm's."""
+    """Value of a field; for ``learning`` the default is that of the algorithm."""
     table, _, field = name.partition(".")
     if table != "learning":
         return getattr(getattr(training, table), field)
@@ -299,11 +300,11 @@ def value_in(training: Training, name: str) -> Any:
 
 
 def _axis(training: Training, table: str, field: str, value: Any) -> Axis:
-    """Choices, each of which the training accepts, or a range whose ends it accepts."""
+    """Choices or a range; the training must accept each choice, or both ends."""
     axis: Axis = Range.model_validate(value) if isinstance(value, dict) else value
     ends = (axis.low, axis.high) if isinstance(axis, Range) else axis
     if not (isinstance(ends, tuple) and len(ends) > 1 and all(ends.count(choice) == 1 for choice in ends)):
-        raise ValueError(f"{value!r} is neither two or more choices, none twice, nor a range {{ low, high }}")
+        raise ValueError(f"{value!r} is neither two or more different choices nor a range {{ low, high }}")
     sizes = training.network.arguments(training.algorithm)
     if table == "network" and field not in sizes:
         raise ValueError(f"is not one of {training.algorithm}'s: {', '.join(sizes)}")
@@ -311,21 +312,21 @@ def _axis(training: Training, table: str, field: str, value: Any) -> Axis:
         with_values(training, {f"{table}.{field}": choice})
     if f"{table}.{field}" == ROLLOUT and training.algorithm != "sac":
         if isinstance(axis, Range):
-            raise ValueError("must be a list of choices, as rollouts have to fill phases")
+            raise ValueError("must be a list of choices, since rollouts must fill phases")
         for steps in axis:
             if not _fills_phases(training, steps):
                 environments = training.environment.num_envs
                 raise ValueError(
-                    f"{steps}: the {training.phase_steps} steps of a phase in {environments} environments are no whole"
-                    " number of such rollouts"
+                    f"{steps}: the {training.phase_steps} steps of a phase in {environments} environments are not a"
+                    " whole number of such rollouts"
                 )
     return axis
 
 
 def _fills_phases(training: Training, steps: int) -> bool:
-    """Whether rollouts of so many steps fill the phases: only then all trainings of a search have equal length."""
+    """Whether rollouts of this length fill the phases; else the trainings of a search would differ in length."""
     return training.phase_steps % (steps * training.environment.num_envs) == 0
 
 
-def _search_error(place: str, problem: str) -> PydanticCustomError:
-    return PydanticCustomError("search", "{text}", {"text": f"search{place}: {problem}"})
+def _search_error(field: str, problem: str) -> PydanticCustomError:
+    return PydanticCustomError("search", "{text}", {"text": f"search{field}: {problem}"})

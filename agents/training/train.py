@@ -1,7 +1,7 @@
 """Trains agents phase by phase, with a checkpoint after each phase.
 
-All randomness of a phase follows from the seed of the run and the number of the phase, and every phase begins with new
-episodes. A run that was killed therefore continues from its last checkpoint to the same weights.
+The seed of a run and the number of a phase determine all random numbers of the phase, which begins with new episodes.
+An interrupted run therefore continues from its last checkpoint to the same weights.
 """
 
 from __future__ import annotations
@@ -52,9 +52,9 @@ BUFFER: Final = ("observations", "next_observations", "actions", "rewards", "don
 """Arrays of a replay buffer."""
 MOST_CHECKPOINT: Final = 16384 * MEBI
 VALIDATED: Final = ("inspection_time_s", "share_within_limit", "diverged")
-"""Figures of the learning curve, next to the reward."""
+"""Columns of the learning curve, next to the reward."""
 MINIBATCH: Final = 256
-"""Rows between two updates of an imitation."""
+"""Batch size of the imitation."""
 Floats = npt.NDArray[np.float32]
 
 
@@ -84,7 +84,7 @@ def train_all(
         curves = [folder / CURVE for folder in folders.values()]
         return sum(len(read_csv(curve, CURVE_COLUMNS)) for curve in curves if curve.exists())
 
-    announce(Work("phase", len(folders) * phases, done, output, "the same command with --resume goes on"))
+    announce(Work("phase", len(folders) * phases, done, output, "continue with the same command and --resume"))
     one = partial(train, training, output.absolute(), origin, threads=None if workers.here else 1)
     curves = dict(workers.map(one, training.seeds))
     rows: pd.DataFrame = pd.concat([curves[seed] for seed in training.seeds], ignore_index=True)
@@ -107,11 +107,11 @@ def prepare(training: Training, output: Path, resume: bool, origin: dict[str, An
                 pass
         if not path.exists():
             if (folder / CHECKPOINT).exists():
-                raise FileError(path, f"missing beside {CHECKPOINT}: restore it, or choose another folder")
+                raise FileError(path, f"missing next to {CHECKPOINT}: restore it, or choose another folder")
             runs[path] = {"seed": seed} | origin
             continue
         if not resume:
-            raise ValueError(f"{folder} holds a run: give --resume to go on with it, or choose another folder")
+            raise ValueError(f"{folder} holds a run: continue it with --resume, or choose another folder")
         run = read_json(path, Run).model_dump(mode="json")
         free = ("seeds", "phases", "search")  # more phases may follow
         different = [name for name in settings if run["config"][name] != settings[name] and name not in free]
@@ -138,7 +138,9 @@ def run_lock(folder: Path) -> Iterator[None]:
     try:
         lock.acquire()
     except Timeout as error:
-        raise ValueError(f"{folder}: another process trains there: wait for it, or choose another folder") from error
+        raise ValueError(
+            f"{folder}: another process is training there: wait for it, or choose another folder"
+        ) from error
     try:
         yield
     finally:
@@ -159,17 +161,17 @@ def train(
     position: int | None = None,
     watch: Callable[[dict[str, Any]], None] = lambda row: None,
 ) -> pd.DataFrame:
-    """Train one seed to its end, from its last checkpoint if there is one.
+    """Train one seed to its end, starting from its last checkpoint if there is one.
 
     Args:
         training: settings.
-        output: its folder seed-K is for checkpoint, best agent, learning curve and logs.
+        output: folder; seed-K in it holds checkpoint, best agent, learning curve and logs.
         origin: how the run was started, see ``manifest.origin``.
         seed: of weights, episodes and exploration.
         threads: of the simulation; default: all cores.
-        position: line of the progress bar; default: the first, and a line a seed where seeds have a thread each.
-        watch: receives the row of every phase once it is stored, also those before the last checkpoint; an exception
-            that it raises ends the training.
+        position: line of the progress bar; default: the first, or one line per seed if seeds have one thread each.
+        watch: called with the row of every phase after it is stored, also those before the last checkpoint; an
+            exception that it raises ends the training.
 
     Raises:
         ValueError: another process trains in the folder.
@@ -208,9 +210,9 @@ def train(
 
 
 class ViewVecEnv(VecEnvWrapper):
-    """The environments as an agent sees them; rewards times ``reward_scale``.
+    """The environments with the features and actions of a view; rewards are multiplied by ``reward_scale``.
 
-    ``rows`` holds the environment's own observations (N, d) of the last step.
+    ``rows`` holds the observations (N, d) of the environments after the last step.
     """
 
     def __init__(self, batch: ProbeVecEnv, view: View, config: TaskConfig, reward_scale: float) -> None:
@@ -220,7 +222,7 @@ class ViewVecEnv(VecEnvWrapper):
         self.rows: Rows = np.zeros((batch.num_envs, len(config.observations)))
         self._memory: Rows | None = None
         self.guided: npt.NDArray[np.float32] | None = None
-        """(N, 2) what the agent's actions correct, see ``View.guided``."""
+        """(N, 2) actions to which the agent's are added, see ``View.guided``."""
 
     def reset(self) -> VecEnvObs:
         """Start all episodes."""
@@ -230,11 +232,11 @@ class ViewVecEnv(VecEnvWrapper):
         return features
 
     def step_async(self, actions: np.ndarray) -> None:
-        """Hand the actions on in the environment's own terms."""
+        """Convert the actions to those of the environment and store them."""
         self.venv.step_async(self.view.env_actions(self.config, actions, self.guided))
 
     def step_wait(self) -> VecEnvStepReturn:
-        """One control period; an ended episode's last features are in ``terminal_observation``."""
+        """One control period; ``terminal_observation`` has the last features of an ended episode."""
         rows, rewards, dones, infos = self.venv.step_wait()
         ended = np.flatnonzero(dones)
         if len(ended):
@@ -250,7 +252,7 @@ class ViewVecEnv(VecEnvWrapper):
 
 
 def _environments(training: Training, threads: int | None) -> tuple[ViewVecEnv, Plan]:
-    """Environments to train in, and the validation without its agent."""
+    """Environments of the training, and the plan of the validation without a policy."""
     settings, task = training.environment, training.task.full_observation
     batch = ProbeVecEnv(
         settings.env_id, settings.num_envs, task,
@@ -325,24 +327,23 @@ def _validate(
 
 
 def imitate(model: PPO, env: ViewVecEnv, teacher: Policy, settings: Imitation, report: Callable[[int], Any]) -> None:
-    """Warm start of PPO: the network imitates a teacher that knows the tube (DAgger: Ross, Gordon, Bagnell 2011).
+    """Warm start of PPO: the network imitates a teacher (DAgger: Ross, Gordon, Bagnell 2011).
 
-    The teacher acts in the first round, the network itself in the others, so that it learns what to do where it gets
-    to; its critic learns the return that follows. Actor and critic are trained in place.
+    The teacher acts in the first round, the network in the others; the critic learns the return.
 
     Args:
         model: PPO on ``env``.
-        env: its task must show what the teacher looks at.
-        teacher: acts in the environment's own terms.
-        settings: rounds, steps and so on.
-        report: called with the number of environment steps after each of them.
+        env: environments whose task has the observations of the teacher.
+        teacher: policy with actions of the environment.
+        settings: rounds, steps, epochs, learning rate.
+        report: called after each step with the number of environment steps.
     """
     optimiser = torch.optim.Adam(model.policy.parameters(), lr=settings.learning_rate)
     rounds: list[tuple[Floats, Floats, Floats]] = []
     for number in range(settings.rounds):
         rounds.append(_gather(model, env, teacher, max(settings.steps // env.num_envs, 1), number == 0, report))
         features, actions = (torch.as_tensor(np.concatenate([each[k] for each in rounds])) for k in (0, 1))
-        latest, _, returns = map(torch.as_tensor, rounds[-1])  # the critic learns what follows the latest behaviour
+        latest, _, returns = map(torch.as_tensor, rounds[-1])  # the critic learns the return of the latest behaviour
         policy = model.policy
         policy.set_training_mode(True)
         for _ in range(settings.epochs):
@@ -388,7 +389,7 @@ def _gather(
 def save_checkpoint(model: BaseAlgorithm, rows: list[dict[str, Any]], path: Path) -> None:
     """Write weights, optimisers, step count and learning curve atomically, for SAC also its replay buffer.
 
-    Tensors and plain data only: SB3's own files hold pickles, which run code when they are loaded.
+    Tensors and plain data only: SB3's files hold pickles, which run code when they are loaded.
     """
     state: dict[str, Any] = {"parameters": model.get_parameters(), "rows": rows, "steps": model.num_timesteps}
     entropy, replay = getattr(model, "log_ent_coef", None), getattr(model, "replay_buffer", None)
@@ -403,7 +404,7 @@ def save_checkpoint(model: BaseAlgorithm, rows: list[dict[str, Any]], path: Path
 
 
 def restore(model: BaseAlgorithm, path: Path) -> list[dict[str, Any]]:
-    """Set the model to the state of a checkpoint; returns the learning curve until then, empty without a checkpoint.
+    """Load the state of a checkpoint; returns the learning curve so far, empty without a checkpoint.
 
     Raises:
         FileError: the checkpoint is damaged or of another run. No code in it is run.
@@ -428,10 +429,10 @@ def restore(model: BaseAlgorithm, path: Path) -> list[dict[str, Any]]:
             replay.pos, replay.full = state["replay_end"]["pos"], state["replay_end"]["full"]
     except FileError:
         raise
-    except Exception as error:  # of the unpickler and of SB3: whatever the damage leads to
+    except Exception as error:  # a damaged file can raise any error in torch or SB3
         reason = f"{type(error).__name__}: {one_line(str(error))[:200]}"
         hint = "restore the file, or choose another folder and train again"
-        raise FileError(path, f"not a whole checkpoint of this run ({reason}) - {hint}") from error
+        raise FileError(path, f"not a complete checkpoint of this run ({reason}) - {hint}") from error
     return rows
 
 

@@ -1,8 +1,7 @@
 """Searches the hyperparameters of an agent: Optuna's TPE over the space of a training file, with a median pruner.
 
-A trial is a training with fewer phases; its value is the best validation reward. Trials are appended to a journal,
-trainings have checkpoints, and the sampler is seeded by the number of finished trials: a search that was killed
-continues, also in the middle of a training, to the same result.
+A trial is a training with fewer phases; its value is the best validation reward. Trials are stored in a journal, and
+the sampler is seeded by the number of finished trials, so an interrupted search continues to the same result.
 """
 
 from __future__ import annotations
@@ -37,17 +36,17 @@ from probe_env.files import FileError, one_line
 from probe_env.settings import within
 
 TRIALS: Final = "trials.csv"
-JUDGES: Final = 5
-"""Complete trials before the median prunes others."""
+STARTUP_TRIALS: Final = 5
+"""Complete trials before pruning by the median starts."""
 
 
 class Tuning(Stored):
-    """What is searched, as the journal stores it.
+    """Settings of a search, as stored in the journal.
 
     Attributes:
-        training: starting point; its first seed is trained.
-        phases: of each training, after the warm start.
-        seed: of the search.
+        training: initial values; its first seed is trained.
+        phases: phases of each training, after the warm start.
+        seed: seed of the search.
     """
 
     training: Training
@@ -60,7 +59,7 @@ class Tuning(Stored):
         return axes_of(self.training)
 
     def sampler(self, number: int) -> BaseSampler:
-        """Sampler of the trial with this number; the first trial has the file's own values where the space has them."""
+        """Sampler of the trial with this number; the first trial has the values of the file that are in the space."""
         seed = int(np.random.SeedSequence([self.seed, number]).generate_state(1)[0])
         sampler = TPESampler(seed=seed, multivariate=True, constant_liar=False)
         values = {name: _label(value_in(self.training, name)) for name in self.axes}
@@ -68,14 +67,14 @@ class Tuning(Stored):
         return sampler if number else PartialFixedSampler(fixed, sampler)
 
     def with_parameters(self, parameters: dict[str, Any]) -> Training:
-        """The whole training with the parameters of a trial."""
+        """The training with the parameters of a trial."""
         labels = {name: {_label(v): v for v in axis} for name, axis in self.axes.items() if isinstance(axis, tuple)}
         point = {name: labels[name][value] if name in labels else value for name, value in parameters.items()}
         return with_values(self.training.model_copy(update={"search": None}), point)
 
     @property
     def settings(self) -> dict[str, Any]:
-        """What makes it another search, by name: only the first seed, and the phases of a trial."""
+        """Settings that must be equal to continue a search: the training with its first seed, phases, seed."""
         fields: dict[str, Any] = self.model_dump(mode="json")
         training: dict[str, Any] = fields["training"]
         return training | {"seeds": training["seeds"][:1], "phases": self.phases, "seed": self.seed}
@@ -90,7 +89,7 @@ def _distribution(axis: Axis) -> BaseDistribution:
 
 
 def _label(value: Any) -> Any:
-    """A choice as Optuna stores it and tables show it: layer widths as text."""
+    """A choice as stored by Optuna and in tables: layer widths as text."""
     return "x".join(map(str, value)) if isinstance(value, tuple) else value
 
 
@@ -102,7 +101,7 @@ def _contains(axis: Axis, value: Any) -> bool:
 
 
 def search(tuning: Tuning, trials: int, output: Path) -> optuna.Study:
-    """Run a search in a folder, or the rest of it; trials.csv grows by one row per trial.
+    """Run or continue a search in a folder; each trial adds a row to trials.csv.
 
     Raises:
         FileError: the folder holds another search, or a damaged one.
@@ -115,8 +114,8 @@ def search(tuning: Tuning, trials: int, output: Path) -> optuna.Study:
         if different:
             raise FileError(output, f"holds a search with other settings ({different}): choose another folder")
     study.set_user_attr("search", tuning.model_dump_json())
-    # phase 0 is the warm start, which says little of the hyperparameters
-    study.pruner = optuna.pruners.MedianPruner(n_startup_trials=JUDGES, n_warmup_steps=1)
+    # phase 0 is the warm start, which hardly depends on the hyperparameters
+    study.pruner = optuna.pruners.MedianPruner(n_startup_trials=STARTUP_TRIALS, n_warmup_steps=1)
     announce(Work("trial", trials, lambda: len(finished(study)), output))
     distributions = {name: _distribution(axis) for name, axis in tuning.axes.items()}
     with tqdm(total=trials, initial=min(len(finished(study)), trials), desc="search", unit="trial") as bar:
@@ -133,7 +132,7 @@ def search(tuning: Tuning, trials: int, output: Path) -> optuna.Study:
 
 
 def _run_trial(tuning: Tuning, study: optuna.Study, trial: optuna.Trial, folder: Path, origin: dict[str, Any]) -> None:
-    """Train from the last checkpoint of the trial; a training that breaks down counts as pruned."""
+    """Train from the last checkpoint of the trial; a failed training counts as pruned."""
     rows: list[dict[str, Any]] = []
 
     def watch(row: dict[str, Any]) -> None:
@@ -161,7 +160,7 @@ def _run_trial(tuning: Tuning, study: optuna.Study, trial: optuna.Trial, folder:
 
 
 def finished(study: optuna.Study) -> list[FrozenTrial]:
-    """Complete and pruned trials in their order."""
+    """Complete and pruned trials by number."""
     trials = study.get_trials(deepcopy=False, states=(TrialState.COMPLETE, TrialState.PRUNED))
     return sorted(trials, key=lambda trial: trial.number)
 
@@ -179,18 +178,18 @@ def trials_table(study: optuna.Study) -> pd.DataFrame:
 
 
 def run_tuning(training: Training, trials: int, phases: int | None, output: Path, seed: int) -> pd.DataFrame:
-    """The command ``tune``: stores trials.csv, search.png, found.toml and manifest.json.
+    """Run the command ``tune``: stores trials.csv, search.png, found.toml and manifest.json.
 
     Args:
-        training: starting point; its first seed is trained.
-        trials: finished trials at the end.
-        phases: of a trial, after the warm start; None: half of the file's.
-        output: folder; the search in it is continued.
-        seed: of the search.
+        training: initial values; its first seed is trained.
+        trials: total number of finished trials.
+        phases: phases of a trial, after the warm start; None: half of the file's.
+        output: folder; a search in it is continued.
+        seed: seed of the search.
 
     Raises:
-        ValueError: an argument is not valid and nothing was run, or the folder holds another search.
-        RuntimeError: all trainings broke down.
+        ValueError: an argument is not valid, or the folder holds another search.
+        RuntimeError: all trainings failed.
     """
     if training.phases < 1:
         raise ValueError("phases = 0 in the training file: a search needs at least one after the warm start")
@@ -201,10 +200,12 @@ def run_tuning(training: Training, trials: int, phases: int | None, output: Path
     tuning = Tuning(training=training, phases=phases, seed=seed)
     study = search(tuning, trials, output)
     table = trials_table(study)
-    write_atomically(output / TRIALS, table.to_csv(index=False))  # a kill may have come between trial and table
+    write_atomically(
+        output / TRIALS, table.to_csv(index=False)
+    )  # an interrupt may have happened between trial and table
     complete = [(number, trial) for number, trial in enumerate(finished(study)) if trial.state == TrialState.COMPLETE]
     if not complete:
-        raise RuntimeError(f"all {len(table)} trainings broke down: {finished(study)[-1].user_attrs['failed']}")
+        raise RuntimeError(f"all {len(table)} trainings failed: {finished(study)[-1].user_attrs['failed']}")
     number, best = max(complete, key=lambda entry: entry[1].values[0])
     origin = made_by(commits=table["commit"])
     heading = (
@@ -224,7 +225,7 @@ def run_tuning(training: Training, trials: int, phases: int | None, output: Path
 
 def _draw(table: pd.DataFrame, path: Path) -> None:
     figure, axis = plt.subplots(figsize=(7, 4), layout="constrained")
-    kinds = (("complete", BLUE, "all phases"), ("pruned", "0.7", "ended early"), ("failed", RED, "broke down"))
+    kinds = (("complete", BLUE, "all phases"), ("pruned", "0.7", "pruned"), ("failed", RED, "failed"))
     for state, colour, label in kinds:
         part = table[table["state"] == state]
         axis.scatter(part["trial"], part["reward"], color=colour, s=16, label=label if len(part) else None)

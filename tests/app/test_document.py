@@ -114,19 +114,19 @@ def test_garbage_collection_skips_open_pages_and_frees_closed_ones(server):
 
 
 def test_charts_around_the_tube_are_drawn_less_often_while_the_probe_moves(app, monkeypatch):
-    place = case_of(None, "test", 1)
-    config = place.config.full_observation
-    plan = Plan(named_policies(["constant"], config), place.contexts, config=config, fidelity=resolve_fidelity("fast"))
-    playing, page = RolloutRunner(plan, deque(plan.units()), 1, 1), Page(app)
+    case = case_of(None, "test", 1)
+    config = case.config.full_observation
+    plan = Plan(named_policies(["constant"], config), case.contexts, config=config, fidelity=resolve_fidelity("fast"))
+    runner, page = RolloutRunner(plan, deque(plan.units()), 1, 1), Page(app)
     screen, clock = page.insertion, SimpleNamespace(monotonic=iter((10.0, 10.1, 10.5, 10.55)).__next__)
     monkeypatch.setattr("agents.app.screens.insertion.time", clock)
     run = page.session.run = Run(RunRequest(policies=(), output=app.output), "running")
 
     def positions(paused=False):
         """Tips in the tube and in the charts around it after another period."""
-        list(playing.step())
-        rows = ((playing.unit(0), np.array([row_of(playing, 0)])),)
-        run.update(Frame((playing.unit(0),), 0, playing.unit(0), rows, shape_of(playing, 0), 0, paused))
+        list(runner.step())
+        rows = ((runner.unit(0), np.array([row_of(runner, 0)])),)
+        run.update(Frame((runner.unit(0),), 0, runner.unit(0), rows, shape_of(runner, 0), 0, paused))
         screen.refresh()
         return max(screen.probe.tube.floats.data["position"]), max(screen.probe.forces.data["position"])
 

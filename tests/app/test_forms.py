@@ -86,11 +86,11 @@ def test_a_changed_tube_is_saved_as_a_file_of_the_command(tmp_path):
     form = TubeForm()
     form.open(EXAMPLE)
     assert not form.changed
-    assert form.stored(tmp_path) == EXAMPLE
+    assert form.file_for_run(tmp_path) == EXAMPLE
     form.change(FIELDS["tube.helix_length"], "30")
-    stored = form.stored(tmp_path)
+    stored = form.file_for_run(tmp_path)
     assert Plant.from_toml(stored) == form.plant
-    assert form.stored(tmp_path) == stored  # the same tube, the same file
+    assert form.file_for_run(tmp_path) == stored  # the same tube, the same file
     form.save(tmp_path / "mine.toml")
     example = tomllib.loads(EXAMPLE.read_text())
     saved = tomllib.loads((tmp_path / "mine.toml").read_text())
@@ -130,34 +130,34 @@ def test_points_are_a_schedule_file_and_refused_as_one():
 
 def test_points_are_tidied_after_a_drag():
     config = TaskConfig()
-    tidy = schedules.tidied(
+    tidy = schedules.sorted_points(
         {LENGTH: [20.0, 5.0, 12.5], FEED: [0.1, 9.0, MISSING], AIR: [100.0, float("nan"), 90.0]}, config
     )
     assert tidy[LENGTH] == [5.0, 12.5, 20.0]
     assert tidy[FEED][1] == config.feed_speeds[1]  # the middle of 9 and 0.1 is out of range
     assert tidy[AIR] == [90.0, 90.0, 100.0]
-    tidy = schedules.tidied({LENGTH: [5.0, 5.0], FEED: [0.1, 0.2], AIR: [60.0, 60.0]}, config)
+    tidy = schedules.sorted_points({LENGTH: [5.0, 5.0], FEED: [0.1, 0.2], AIR: [60.0, 60.0]}, config)
     assert np.diff(tidy[LENGTH]).min() > 0.0
 
 
 def test_the_prediction_is_the_objective_of_the_search_for_schedules():
-    place, schedule = load_case(None, "test", 6), Schedule.read(DATA / "best-schedule.csv")
-    prediction = schedules.predict(schedule, place)
-    cost = MapCost(place.contexts, place.config, place.vibration)
+    case, schedule = load_case(None, "test", 6), Schedule.read(DATA / "best-schedule.csv")
+    prediction = schedules.predict(schedule, case)
+    cost = MapCost(case.contexts, case.config, case.vibration)
     assert prediction.reward == pytest.approx(cost.reward(schedule), rel=1e-9)  # sums in another order
     assert (prediction.low < prediction.middle).all()
     assert (prediction.middle < prediction.high).all()
     assert prediction.length[0] == 5.5
     with pytest.raises(ValueError, match="over time"):
-        schedules.predict(Schedule("time", "steps", (0.0,), (0.2,), (0.02,)), place)
+        schedules.predict(Schedule("time", "steps", (0.0,), (0.2,), (0.02,)), case)
 
 
 def test_every_offered_overlay_is_a_line():
-    place = load_case(EXAMPLE, "test", 1)
+    case = load_case(EXAMPLE, "test", 1)
     for name in (*schedules.BY_LENGTH, *shipped_names("schedules")):
-        line = schedules.policy_line(name, place)
+        line = schedules.policy_line(name, case)
         assert len(line.length) == len(line.feed) == len(line.air) > 1, name
         assert np.isfinite(np.concatenate(line)).all(), name
     assert (np.diff(schedules.log_line(Path("example-rig")).length) >= 0.0).all()
-    with pytest.raises(ValueError, match="depends on what it measures"):
-        schedules.policy_line("pi", place)
+    with pytest.raises(ValueError, match="depends on measurements"):
+        schedules.policy_line("pi", case)

@@ -91,13 +91,13 @@ def test_pause_step_look_and_go_change_nothing(queue, tube, tmp_path):
     for steps in range(1, 4):
         queue.send(run, Command("step"))
         wait_paused(run, lambda steps=steps: len(run.trace(unit)["time"]) == steps)
-    queue.send(run, Command("look"))
+    queue.send(run, Command("slow motion"))
     wait_for(lambda: run.motion is not None, run)
     shape, length = run.frame.shape, run.motion.inserted_length[0]
     assert length == pytest.approx(run.trace(unit)["inserted_length"][-1])
     assert shape.position.max() <= length + 1e-9
     assert shape.observation["inserted_length"] == pytest.approx(length, rel=1e-6)  # float32
-    queue.send(run, Command("go"))
+    queue.send(run, Command("continue"))
     assert queue.wait(run, LONG)
     assert queue.wait(other, LONG)
     tables = [pd.read_parquet(folder / "episodes.parquet") for folder in (plain.output, watched.output)]
@@ -142,12 +142,12 @@ def test_a_killed_worker_loses_no_finished_insertion(queue, tube, tmp_path):
 
 def test_a_manual_drive_is_a_policy_of_the_evaluation(queue, tube, tmp_path):
     manual = request(tmp_path / "hand", tube, policies=("constant",), limit=1, manual=True)
-    run = queue.add(manual, [Command("pause"), Command("hand", (0.1, 0.02))])
+    run = queue.add(manual, [Command("pause"), Command("setting", (0.1, 0.02))])
     wait_paused(run)
     for feed in (0.1, 0.3):
-        queue.send(run, Command("hand", (feed, 0.02)))
+        queue.send(run, Command("setting", (feed, 0.02)))
         queue.send(run, Command("step"))
-    queue.send(run, Command("go"))
+    queue.send(run, Command("continue"))
     assert queue.wait(run, LONG)
     feed = run.trace((MANUAL, 0, 0))["target_feed_speed"]
     assert feed[:3] == pytest.approx([0.1, 0.3, 0.3], rel=1e-6)  # float32 actions

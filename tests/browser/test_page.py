@@ -56,7 +56,7 @@ def start(page):
     """Start a run; returns where its state is shown."""
     screen(page, 3)
     status = page.locator("[data-run]")
-    status.or_(page.get_by_text("Nothing has been run yet")).wait_for()
+    status.or_(page.get_by_text("No run yet")).wait_for()
     earlier = status.get_attribute("data-run") if status.count() else ""
     page.get_by_role("button", name="Run", exact=True).click()
     status = page.locator(f"[data-run]:not([data-run='{earlier}'])")
@@ -176,7 +176,7 @@ INVALID = [
     ("inner diameter [m]", "0.018", "probe.carrier_float_diameter = 0.019 m must be less than tube.inner_diameter"),
     ("friction", "0.3 to 0.1", "contact.friction: low = 0.3 must not exceed high = 0.1"),
     ("open a tube file", "nowhere.toml", "no such file: nowhere.toml - tubes that ship, by name: example"),
-    ("save as", "mine.txt", "mine.txt: the name of a tube file must end with .toml"),
+    ("save as", "mine.txt", "mine.txt: a tube file must end with .toml"),
 ]
 
 
@@ -189,7 +189,7 @@ def test_invalid_input_is_refused_at_its_field(page, tmp_path):
         fill(page, "open a schedule", text)
         page.get_by_role("alert").filter(has_text=message).wait_for()
     screen(page, 1)
-    page.get_by_text("Your own tube").wait_for()
+    page.get_by_text("Your tube").wait_for()
     for label, text, message in INVALID:
         before = page.get_by_label(label, exact=True).locator("visible=true").input_value()
         fill(page, label, text)

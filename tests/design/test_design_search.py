@@ -199,7 +199,7 @@ def test_bad_commands_are_named_before_any_work(capsys, tmp_path):
         (["design", "--contexts", "validation", "--limit", "25"], "limit = 25 is outside the accepted range"),
         (["design", "--trials", "1"], "trials = 1 is outside the accepted range 2 to 1e+06"),
         (["design", "--seed", "-1"], "seed = -1 is outside the accepted range 0 to"),
-        (["design", "--full"], "feed = 'best-constant' is searched in sections"),
+        (["design", "--full"], "feed = 'best-constant' needs sections"),
         (["design", "--full", "--feed", "fastest"], "policy = 'fastest'"),
         (["design", "--feed", "constant", "--fidelity", "finest"], "fidelity = 'finest' is not one of"),
         (["design", "--feed", "pi"], "feed = 'pi' is not a schedule over inserted length"),

@@ -60,7 +60,7 @@ def test_designs_are_the_plant_s_probe_changed_and_folders_are_of_one_plant(tmp_
     assert "of mine, not of table 2" in refused(capsys, *run[:1], "improved", *run[3:-1])
     assert "of mine, not of table 2" in refused(capsys, "design", "--trials", "2", "--limit", "1", "--output", "out")
     (tmp_path / "mine.toml").write_text(OWN.replace("0.22", "0.23"))
-    assert "of mine, as its file was then, not of mine" in refused(capsys, *run, "mine.toml")
+    assert "of mine before its file changed, not of mine" in refused(capsys, *run, "mine.toml")
     assert {path: path.read_bytes() for path in (tmp_path / "out").iterdir()} == before
     assert main(["compare", "original", "--limit", "1", "--output", "study"]) == 0
     mine = ("compare", "own.toml", "--limit", "1", "--output", "study", "--tube", "mine.toml")
@@ -83,8 +83,8 @@ def test_what_does_not_fit_is_refused_before_any_work(tmp_path, capsys):
 
 
 def test_a_search_is_among_what_fits_the_plant(tmp_path, capsys, monkeypatch):
-    place = load_case(tmp_path / "mine.toml", "train", 2)
-    problem = design_problem("best-constant", False, place, "standard")
+    case = load_case(tmp_path / "mine.toml", "train", 2)
+    problem = design_problem("best-constant", False, case, "standard")
     assert problem.axes["guide_float_diameter"][:2] == (0.016, pytest.approx(0.0185))
     assert problem.axes["feed_speed"][1] == 0.25
     assert list(problem.probes) == ["the plant's own", "the study's improved"]

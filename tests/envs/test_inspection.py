@@ -184,7 +184,7 @@ def test_insertion_policies_withdraw_as_fast_as_possible(tmp_path):
     for spec, speed, air in (("pi", 0.4, 63.0), (str(path), 0.1, 40.0), ("tension-scheduled", 0.4, 63.0)):
         policy = make_policy(spec, config)
         both, _ = policy.predict(np.concatenate([observation, back]))
-        alone, _ = policy.forth.predict(np.delete(observation, names.index("way"), axis=1))
+        alone, _ = policy.insertion.predict(np.delete(observation, names.index("way"), axis=1))
         assert both[0] == pytest.approx(alone[0])
         feed, supply = config.targets(both)[1]
         assert feed == pytest.approx(speed, rel=1e-5)

@@ -201,5 +201,5 @@ def test_policies_keep_their_order():
 
 def test_agents_train_in_it_and_are_validated_by_simulation():
     assert Training.model_validate({"environment": {"fidelity": "surrogate"}}).environment.fidelity == "surrogate"
-    with pytest.raises(ValueError, match="agents are chosen by simulation"):
+    with pytest.raises(ValueError, match="agents must be validated by simulation"):
         Training.model_validate({"validation": {"fidelity": "map"}})

@@ -24,7 +24,7 @@ from agents.evaluation.run import evaluate_plan
 from agents.evaluation.statistics import grouped, ranking
 from agents.policies.catalogue import named_policies
 from agents.policies.fixed import PI, Constant, Scheduled
-from agents.policies.wrappers import BothWays, fastest_back, way_in
+from agents.policies.wrappers import RoundTripPolicy, fastest_withdrawal, insertion_task
 from probe_env.envs.task import TaskConfig
 from probe_env.fidelity import ROUND_TRIP
 from probe_env.schedule import Schedule
@@ -225,8 +225,8 @@ def test_schedules_of_both_ways_have_their_way_back(tmp_path):
     forth = Schedule("inserted_length", "steps", (10.0, 40.0), (0.4, 0.2), (0.02, 0.03))
     back = Schedule("inserted_length", "steps", (10.0, 20.0, 40.0), (0.1, 0.3, 0.2), (0.01, 0.02, 0.03))
     played = {
-        "mine": BothWays(config, Scheduled(way_in(config), forth), back),
-        "pi": BothWays(config, PI(way_in(config)), fastest_back(config)),
+        "mine": RoundTripPolicy(config, Scheduled(insertion_task(config), forth), back),
+        "pi": RoundTripPolicy(config, PI(insertion_task(config)), fastest_withdrawal(config)),
     }
     described = {name: policy.describe() for name, policy in played.items()}
     described |= {"agent": {"policy": "Agent"}, "shielded-mine": {"policy": "Shielded", "of": {"policy": "Privileged"}}}
@@ -240,7 +240,7 @@ def test_schedules_of_both_ways_have_their_way_back(tmp_path):
     for one in offered:
         (tmp_path / one.file).write_text(unquote(one.address.split(",", 1)[1]))
     lengths = np.linspace(5.0, 50.0, 46)
-    for name, drawn in (("mine", back), ("pi", fastest_back(config))):
+    for name, drawn in (("mine", back), ("pi", fastest_withdrawal(config))):
         read = Schedule.read_back(tmp_path / f"{name}.csv")
         np.testing.assert_allclose(read.at(lengths), drawn.at(lengths), rtol=1e-5)
     np.testing.assert_allclose(Schedule.read(tmp_path / "mine.csv").at(lengths), forth.at(lengths), rtol=1e-5)

@@ -15,8 +15,8 @@ from scipy.stats import chi2, norm
 
 from agents.cli import main
 from agents.plant import inference
-from agents.plant.calibration import recorded_of
-from agents.plant.inference import LIMIT, Case, GainLikelihood, Likelihood, by_sliding, gain_of, sampled
+from agents.plant.calibration import read_cases
+from agents.plant.inference import LIMIT, Case, GainLikelihood, Likelihood, fit_gain, fit_sliding, sample_posterior
 from agents.plant.logs import Log
 from agents.plant.prior import DAMPING, DRAG, FRICTION, STIFFNESS, prior_of
 from agents.plant.response import CHANNELS, Metres, metres_of, observed, steady_tension, stored_response
@@ -32,7 +32,7 @@ Seeds = Callable[[int], Sequence[int]]
 @pytest.fixture(params=[(200, 200)])
 def short(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> None:
     """Few steps: enough for a mean and an interval."""
-    for name, steps in zip(("BURN", "STEPS"), request.param, strict=True):
+    for name, steps in zip(("BURN_IN", "STEPS"), request.param, strict=True):
         monkeypatch.setattr(inference, name, steps)
 
 
@@ -50,19 +50,19 @@ def log_like(
     feed = np.interp(length, [5.0, 20.0, 50.0], [0.3, 0.2, 0.1])
     air = np.interp(length, [5.0, 30.0, 50.0], [0.018, 0.025, 0.03])
     mean, spread = RESPONSE.predict(truth[None], Metres(length, feed, air, {}), scene)
-    strays = np.zeros(mean[0].shape)
+    deviations = np.zeros(mean[0].shape)
     if rng:
         factor = np.linalg.cholesky(RESPONSE.covariance(length, list(range(len(CHANNELS)))))
-        strays = (factor @ rng.normal(size=len(factor))).reshape(strays.shape)
-    felt = 10.0 ** (mean[0] + spread[0] * strays)
-    felt[:, 0] *= gain
-    return Case("log", tube, scene, Metres(length, feed, air, {n: felt[:, CHANNELS.index(n)] for n in channels}))
+        deviations = (factor @ rng.normal(size=len(factor))).reshape(deviations.shape)
+    measured = 10.0 ** (mean[0] + spread[0] * deviations)
+    measured[:, 0] *= gain
+    return Case("log", tube, scene, Metres(length, feed, air, {n: measured[:, CHANNELS.index(n)] for n in channels}))
 
 
-def with_felt(case: Case, felt: dict[str, FloatArray]) -> Case:
+def with_measurements(case: Case, measured: dict[str, FloatArray]) -> Case:
     """The case with other measurements."""
     m = case.metres
-    return case._replace(metres=Metres(m.length, m.feed, m.air, felt))
+    return case._replace(metres=Metres(m.length, m.feed, m.air, measured))
 
 
 def test_the_prior_is_what_the_file_says() -> None:
@@ -75,7 +75,7 @@ def test_the_prior_is_what_the_file_says() -> None:
     np.testing.assert_allclose(PRIOR.values(np.zeros((1, 4)), 1)[0, 0], middle)
     numbers = {"contact": {"friction": 0.2, "stiffness": 8e4}, "air": {"drag_coefficient": 0.4}}
     prior = prior_of(Plant(**numbers, probe={"damping_time": 6e-5}))
-    assert prior.known == {"contact_stiffness": 8e4, "drag_coefficient": 0.4, "damping_time": 6e-5}
+    assert prior.fixed == {"contact_stiffness": 8e4, "drag_coefficient": 0.4, "damping_time": 6e-5}
     table = prior.values(np.zeros((3, 2)), 2)
     np.testing.assert_allclose(table, np.broadcast_to([sum(FRICTION) / 2.0, 8e4, 0.4, 6e-5], (2, 3, 4)))
     figures = {"friction": {"low": 0.1, "high": 0.2}, "stiffness": {"mean": 1e5, "std": 1e4}}
@@ -108,12 +108,12 @@ def test_metres_are_means_over_time_and_of_squares() -> None:
     averaged = metres_of(recorded([0.25] * 8, [1, 2, 3, 4, 5, 5, 5, 5], noise))
     np.testing.assert_allclose(averaged.length, [5.5, 6.5])
     np.testing.assert_allclose(averaged.feed, 0.25)
-    np.testing.assert_allclose(averaged.felt["root_tension"], [2.5, 5.0])
-    np.testing.assert_allclose(averaged.felt["rf_noise_rms"], [np.sqrt(12.5) * 1e-5, 1e-5])
+    np.testing.assert_allclose(averaged.measured["root_tension"], [2.5, 5.0])
+    np.testing.assert_allclose(averaged.measured["rf_noise_rms"], [np.sqrt(12.5) * 1e-5, 1e-5])
     assert len(metres_of(recorded([0.0] * 5, [1.0] * 5, [1e-5] * 5))) == 0
     coarse, *fine = (metres_of(recorded([0.25] * 12, list(range(12)), [1e-5] * 12, parts)) for parts in (1, 2, 5))
     for finer in fine:
-        np.testing.assert_allclose(finer.felt["root_tension"], coarse.felt["root_tension"])
+        np.testing.assert_allclose(finer.measured["root_tension"], coarse.measured["root_tension"])
 
 
 def test_a_standstill_and_its_restart_do_not_count() -> None:
@@ -121,8 +121,8 @@ def test_a_standstill_and_its_restart_do_not_count() -> None:
     moving = metres_of(recorded([0.25] * 16, [2.0] * 16, [1e-5] * 16))
     feed, tension = [0.25] * 4 + [0.0] * 10 + [0.25] * 12, [2.0] * 4 + [9.0] * 13 + [2.0] * 9
     stood = metres_of(recorded(feed, tension, [1e-5] * 26))
-    np.testing.assert_allclose(moving.felt["root_tension"], 2.0)
-    np.testing.assert_allclose(stood.felt["root_tension"], 2.0)
+    np.testing.assert_allclose(moving.measured["root_tension"], 2.0)
+    np.testing.assert_allclose(stood.measured["root_tension"], 2.0)
     assert len(moving) == 4
     np.testing.assert_allclose(stood.length, [5.5, 7.5, 8.5])  # of the second metre a quarter is left
 
@@ -141,7 +141,7 @@ def test_truths_are_where_the_posterior_says(short: None, seeds: Seeds) -> None:
     ranks = np.empty((logs, 4))
     for k, (truth, seed) in enumerate(zip(truths, seeds(logs), strict=True)):
         case = log_like(truth, np.random.default_rng([4, seed]), length=LENGTH[::2])
-        draws = sampled(RESPONSE, [case], PRIOR, seed=seed).draws[0]
+        draws = sample_posterior(RESPONSE, [case], PRIOR, seed=seed).draws[0]
         ranks[k] = ((draws < truth).sum(axis=0) + 0.5) / (len(draws) + 1)
     scores = norm.ppf(ranks)
     assert (np.abs(scores.mean(axis=0)) < norm.isf(CHANCE / 16) / np.sqrt(logs)).all()
@@ -158,13 +158,13 @@ def test_logs_of_one_tube_share_its_friction(short: None, seeds: Seeds) -> None:
     for seed in seeds(worlds):
         rng = np.random.default_rng([2, seed])
         logs = [log_like(truth, rng, length=LENGTH[::2]) for _ in range(3)]  # every other metre is enough
-        one, three = (sampled(RESPONSE, logs[:n], PRIOR, seed).draws[0, :, 0].std() for n in (1, 3))
+        one, three = (sample_posterior(RESPONSE, logs[:n], PRIOR, seed).draws[0, :, 0].std() for n in (1, 3))
         ratios.append(np.log(three / one))
     # exp(-0.274), for drag, which acts alike, is known no better; scatters by 0.069 over 16 worlds
     assert np.mean(ratios) < -0.274 + of_another(0.069, 16, members=worlds) < 0.0
     own = {"a": 0.18, "b": 0.12}
     others = [log_like(np.array([friction, 9e4, 0.44, 6e-5]), rng, tube=tube) for tube, friction in own.items()]
-    draws = sampled(RESPONSE, others, PRIOR).draws
+    draws = sample_posterior(RESPONSE, others, PRIOR).draws
     # 0.183 +- 0.0051 and 0.122 +- 0.0032 over 16 worlds
     assert np.median(draws[0, :, 0]) > 0.183 - of_another(0.0051, 16, among=2) > 0.15
     assert np.median(draws[1, :, 0]) < 0.122 + of_another(0.0032, 16, among=2) < 0.15
@@ -175,7 +175,7 @@ def test_two_tubes_share_all_but_friction_and_the_same_logs_give_the_same_draws(
     rng = np.random.default_rng(0)
     own, every = {"a": 0.3, "b": 0.1}, LENGTH[::4]
     cases = [log_like(np.array([mu, 9e4, 0.44, 6e-5]), rng, tube=k, length=every) for k, mu in own.items()]
-    first, second = (sampled(RESPONSE, cases, PRIOR).draws for _ in range(2))
+    first, second = (sample_posterior(RESPONSE, cases, PRIOR).draws for _ in range(2))
     np.testing.assert_array_equal(first, second)
     assert first.shape[0] == 2
     np.testing.assert_array_equal(first[0, :, 1:], first[1, :, 1:])
@@ -190,16 +190,16 @@ def test_misfit_is_small_for_its_own_logs_and_large_for_random_numbers(seeds: Se
     own = Likelihood(RESPONSE, [case]).misfit(0, TRUTH)
     # mean squares of 44 numbers each; the sensors' scatter, which was not drawn, makes them smaller
     assert (own[:4] < chi2.isf(CHANCE / 4, len(LENGTH)) / len(LENGTH)).all()
-    noisy = {name: values * np.exp(rng.normal(size=len(values))) for name, values in case.metres.felt.items()}
-    assert (Likelihood(RESPONSE, [with_felt(case, noisy)]).misfit(0, TRUTH) > RESPONSE.misfit).any()
+    noisy = {name: values * np.exp(rng.normal(size=len(values))) for name, values in case.metres.measured.items()}
+    assert (Likelihood(RESPONSE, [with_measurements(case, noisy)]).misfit(0, TRUTH) > RESPONSE.misfit).any()
 
 
 def test_too_short_or_silent_a_log_is_refused() -> None:
     """Before anything is sampled, by its name."""
-    with pytest.raises(ValueError, match="log: 5 metres were fed, and at least 8 are needed"):
-        sampled(RESPONSE, [log_like(TRUTH, None, length=LENGTH[:5])], PRIOR)
-    with pytest.raises(ValueError, match="log: measures none of root_tension, radial_acceleration_rms"):
-        sampled(RESPONSE, [log_like(TRUTH, None, channels=())], PRIOR)
+    with pytest.raises(ValueError, match="log: 5 metres of insertion, at least 8 are needed"):
+        sample_posterior(RESPONSE, [log_like(TRUTH, None, length=LENGTH[:5])], PRIOR)
+    with pytest.raises(ValueError, match="log: has none of the channels root_tension, radial_acceleration_rms"):
+        sample_posterior(RESPONSE, [log_like(TRUTH, None, channels=())], PRIOR)
 
 
 def settled(gain: float, channels: Sequence[str] = CHANNELS) -> Likelihood:
@@ -213,14 +213,14 @@ def settled(gain: float, channels: Sequence[str] = CHANNELS) -> Likelihood:
 def test_a_missing_channel_is_left_out_and_the_scatter_settles_as_a_geometric_mean() -> None:
     """The likelihood of some channels is that of the others integrated out: their block of the covariance."""
     case = log_like(TRUTH, np.random.default_rng(1))
-    part = with_felt(case, {n: case.metres.felt[n] for n in CHANNELS[1:]})
+    part = with_measurements(case, {n: case.metres.measured[n] for n in CHANNELS[1:]})
     assert Likelihood(RESPONSE, [part]).chosen == [[1, 2, 3]]
     np.testing.assert_array_equal(observed(part.metres, [1, 2, 3]), observed(case.metres, [0, 1, 2, 3])[:, 1:])
     whole = RESPONSE.covariance(LENGTH, [0, 1, 2, 3]).reshape(len(LENGTH), 4, len(LENGTH), 4)
     block = RESPONSE.covariance(LENGTH, [1, 2, 3]).reshape(len(LENGTH), 3, len(LENGTH), 3)
     np.testing.assert_allclose(whole[:, 1:, :, 1:], block)
     likelihood, draws = Likelihood(RESPONSE, [case]), np.array([TRUTH, TRUTH * [2.0, 1.0, 1.0, 1.0]])
-    spread = likelihood.strays(0, draws)[1]
+    spread = likelihood.deviations(0, draws)[1]
     likelihood.settle(draws[None])
     np.testing.assert_allclose(likelihood.settled[0], np.sqrt(spread[0] * spread[1]))
 
@@ -239,13 +239,13 @@ def test_the_best_gain_is_exact() -> None:
 
 def test_a_gauge_that_reads_too_much_is_found() -> None:
     """A gain of 1.5 is beyond the 15 % that drag may be, and the tension's bend fixes the friction; 1.1 is within."""
-    true, drag, scaled = (gain_of(settled(gain), 0, PRIOR) for gain in (1.0, 1.1, 1.5))
+    true, drag, scaled = (fit_gain(settled(gain), 0, PRIOR) for gain in (1.0, 1.1, 1.5))
     assert true
     assert drag
     assert scaled
     assert max(true.ratio, drag.ratio) < LIMIT < scaled.ratio
     assert scaled.gain > 1.5 / 1.15 / 1.15  # drag may be at either edge of its prior
-    assert gain_of(settled(1.0, CHANNELS[1:]), 0, PRIOR) is None
+    assert fit_gain(settled(1.0, CHANNELS[1:]), 0, PRIOR) is None
 
 
 def sliding_log(friction: float, drag: float, bore: float, noise: FloatArray | float = 0.0) -> Case:
@@ -254,21 +254,21 @@ def sliding_log(friction: float, drag: float, bore: float, noise: FloatArray | f
     length = np.arange(5.5, 55.0)
     bare = Metres(length, np.linspace(0.3, 0.1, len(length)), 0.02 + 0.005 * np.sin(length / 5.0), {})
     tension = drag * steady_tension(np.full((1, 1), friction), bare, scene)[0] * np.exp(noise)
-    return with_felt(Case("log", "", scene, bare), {"root_tension": tension})
+    return with_measurements(Case("log", "", scene, bare), {"root_tension": tension})
 
 
 def test_sliding_is_the_inverse_of_the_closed_form() -> None:
     """Without scatter the friction is found: drag is table 2's, and so is the middle of its prior."""
     for bore in (0.022, 0.0242, 0.026):
         for friction in (0.08, 0.2, 0.33):
-            fit = by_sliding([sliding_log(friction, 1.0, bore)], PRIOR)
+            fit = fit_sliding([sliding_log(friction, 1.0, bore)], PRIOR)
             assert fit is not None
             assert fit.friction[0] == pytest.approx(friction, rel=2e-3)  # drag is drawn to the middle of its range
             assert fit.friction[1] < friction < fit.friction[2]
     case = sliding_log(0.2, 1.0, 0.0242)
-    assert by_sliding([with_felt(case, {"rf_noise_rms": 1e-5 * case.metres.length})], PRIOR) is None
+    assert fit_sliding([with_measurements(case, {"rf_noise_rms": 1e-5 * case.metres.length})], PRIOR) is None
     # a pull 10 % stronger than the file says is found as drag; otherwise the friction would be 9 % off
-    fit = by_sliding([sliding_log(0.2, 1.1, 0.0242)], PRIOR)
+    fit = fit_sliding([sliding_log(0.2, 1.1, 0.0242)], PRIOR)
     assert fit is not None
     for (mean, low, high), true in ((fit.friction, 0.2), (fit.drag_coefficient, 1.1 * 0.44)):
         assert low < true < high
@@ -286,7 +286,7 @@ def test_intervals_cover_under_correlated_scatter() -> None:
         rng = np.random.default_rng([5, seed])
         noise = np.linalg.cholesky(np.exp(-apart / 3.0) + 1e-9 * np.eye(50)) @ rng.normal(size=50) * 0.05
         friction = float(rng.uniform(0.08, 0.3))
-        fit = by_sliding([sliding_log(friction, 1.0, 0.0242, noise)], PRIOR)
+        fit = fit_sliding([sliding_log(friction, 1.0, 0.0242, noise)], PRIOR)
         assert fit is not None
         covered += fit.friction[1] <= friction <= fit.friction[2]
     assert covered >= 27
@@ -319,7 +319,7 @@ def test_arguments_that_do_not_fit_are_refused_before_a_log_is_read() -> None:
     }  # fmt: skip
     three, two = (Plant(tube={"helix_diameter": diameters}) for diameters in ((1.0, 1.2, 1.4), (1.0, 1.2)))
     cases: list[tuple[dict[str, Any], str]] = [
-        ({"paths": []}, "logs: give one log at least"),
+        ({"paths": []}, "logs: at least one is needed"),
         ({"helix_diameters": [1.0, 1.2, 1.4]}, "--helix-diameters: 3 for 2 logs"),
         ({"helix_diameters": [0.1]}, "helix_diameter = 0.1 m is outside the accepted range 0.3 to 10000 m"),
         ({"tubes": ["a"]}, "--tubes: 1 names for 2 logs"),
@@ -329,4 +329,4 @@ def test_arguments_that_do_not_fit_are_refused_before_a_log_is_read() -> None:
     ]
     for arguments, problem in cases:
         with pytest.raises(ValueError, match=problem):
-            recorded_of(**(usual | arguments))
+            read_cases(**(usual | arguments))

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from agents.cli import main
 from agents.plant.cleaning import Bounds
 from agents.plant.logs import read_log
-from agents.plant.quantities import QUANTITIES, known_as, si_factor, split_head
+from agents.plant.quantities import QUANTITIES, quantity_of, si_factor, split_head
 from agents.policies.catalogue import make_policy
 from agents.records.shipped import file_or_shipped, shipped_names
 from probe_env import TaskConfig
@@ -124,7 +124,7 @@ def test_heads():
         "": (None, ""),
         "Geschwindigkeit Soll [m/s]": (None, "m/s"),
     }
-    assert {head: (known_as(head), split_head(head)[1]) for head in expected} == expected
+    assert {head: (quantity_of(head), split_head(head)[1]) for head in expected} == expected
 
 
 def test_what_went_wrong_is_repaired_and_counted(tmp_path):
@@ -160,7 +160,7 @@ def test_speed_alone_is_integrated_and_speed_beside_the_encoder_compared(tmp_pat
     assert log.inserted_length == pytest.approx(5.0 + 0.2 * log.time, abs=TOLERANCE)
     (note,) = log.notes
     assert "The speed column and the encoder disagree" in note
-    assert note.endswith("the encoder is taken.")
+    assert note.endswith("the encoder is used.")
 
 
 def test_channels_are_averaged_over_their_interval(tmp_path):
@@ -184,7 +184,7 @@ def test_the_shipped_log_is_shown_and_made_a_schedule(tmp_path, monkeypatch, cap
     assert max(map(len, printed.splitlines())) <= 80
     unwrapped = " ".join(printed.split())
     for text in (
-        "example-rig.csv", "root tension", "rf noise rms", "lasting [s]", "leaves the task's range of 0.02 to 0.4 m/s",
+        "example-rig.csv", "root tension", "rf noise rms", "lasting [s]", "is outside the task's range 0.02 to 0.4 m/s",
         "written: output/example-rig-clean.csv, plots/rig.png",
     ):  # fmt: skip
         assert text in unwrapped
@@ -196,7 +196,7 @@ def test_the_shipped_log_is_shown_and_made_a_schedule(tmp_path, monkeypatch, cap
     assert schedule.position == pytest.approx(log.time)
     policy = make_policy("output/example-rig-clean.csv", TaskConfig())
     assert policy.schedule.at([dwell.time + 0.5 * dwell.duration])[0] == 0.0
-    assert policy.stands
+    assert policy.allow_standstill
     assert policy.schedule.start_length == pytest.approx(log.inserted_length[0])
 
 
@@ -210,7 +210,7 @@ def test_columns_may_be_given_several_times_and_the_input_is_never_written(refus
     for output in ("rig.csv", "./rig.csv", "link.csv"):
         refused(["log", "rig.csv", "--output", output], f"'{Path(output)}' is the log itself")
     refused(["log", "rig.csv", "--output", "rig.txt"], "output = 'rig.txt' is not a CSV file")
-    refused(["log", "rig.csv", "--plot", "rig.exe"], "plot = 'rig.exe' is not a picture")
+    refused(["log", "rig.csv", "--plot", "rig.exe"], "plot = 'rig.exe' is not a figure")
     refused(["log", "nowhere.csv"], "logs that ship, by name: example-rig")
     refused(["log", "example-rig", "--gap", "0"], "gap = 0.0 s is outside the accepted range 0.001 to 3600 s")
     refused(["log", "example-rig", "--air-supply", "nan"], "air_supply_rate = nan m3/s is outside the accepted range")
@@ -219,7 +219,7 @@ def test_columns_may_be_given_several_times_and_the_input_is_never_written(refus
 def test_what_a_file_says_does_not_reach_the_terminal_raw(refused, capsys):
     name, formula = "rig\x1b[31m\n.csv", RIG.replace("v;", "=cmd|' /C calc'!A0;")
     Path(name).write_text(formula.replace("Zeit", "Zeit\u202e"))
-    refused(["log", name], "no column is known as time")
+    refused(["log", name], "no column for time")
     Path(name).write_text(formula)
     assert main(["log", name, "--output", "clean.csv"]) == 0
     printed = capsys.readouterr().out

@@ -13,12 +13,12 @@ import pytest
 from agents.cli import main
 from agents.plant.recommendation import (
     MARGIN,
-    beyond,
     cheapest_path,
     expected_costs,
-    pressed,
-    pulled,
-    recommended,
+    least_root_tension,
+    optimal_schedule,
+    outside_training,
+    root_compression,
     safe_air,
 )
 from agents.plant.response import Metres, stored_response
@@ -60,7 +60,7 @@ def test_the_cheapest_path_is_that_of_all_paths() -> None:
 def test_it_is_what_the_device_can_do_and_keeps_the_drive() -> None:
     """Whole steps within the ranges, to the end of the helix, with the margin of the root tension."""
     config = PLANT.configured()
-    optimum = recommended(TUBES, RESPONSE, config)
+    optimum = optimal_schedule(TUBES, RESPONSE, config)
     feed, air = np.array(optimum.schedule.feed_speed), np.array(optimum.schedule.air_supply_rate)
     assert optimum.schedule.position[-1] == 45.0
     assert ((feed >= 0.03) & (feed <= 0.35)).all()
@@ -73,7 +73,7 @@ def test_it_is_what_the_device_can_do_and_keeps_the_drive() -> None:
 def test_it_is_expected_to_beat_what_ships_and_what_is_near() -> None:
     """No constant change of its feed is expected to be better by more than the price on change could hide."""
     config = Plant().configured()
-    schedule = recommended(TUBES, RESPONSE, config).schedule
+    schedule = optimal_schedule(TUBES, RESPONSE, config).schedule
     others = [Schedule.read(DATA / "best-schedule.csv")]
     for factor in (0.7, 1.4):
         feed = tuple(np.clip(factor * np.array(schedule.feed_speed), *config.feed_speeds).tolist())
@@ -85,7 +85,7 @@ def test_it_is_expected_to_beat_what_ships_and_what_is_near() -> None:
     assert costs[0] < min(costs[1:])
     # at 40 m the probe rings with a friction of 0.25 and not with 0.08
     slippery, rough = (
-        recommended([Context(friction=mu)], RESPONSE, config).schedule.at(40.0)[0] for mu in (0.08, 0.25)
+        optimal_schedule([Context(friction=mu)], RESPONSE, config).schedule.at(40.0)[0] for mu in (0.08, 0.25)
     )
     assert rough < 0.7 * slippery
 
@@ -93,12 +93,12 @@ def test_it_is_expected_to_beat_what_ships_and_what_is_near() -> None:
 def test_plants_without_an_answer_are_refused() -> None:
     """In one line with the field and its value: too little air, or a vibration that the response does not have."""
     weak = Plant(air=Supply(air_supply_rates=(0.002, 0.004)), task={"required_tension": 5.0})
-    with pytest.raises(ValueError, match=r"air_supply_rates = \(0.002, 0.004\) m3/s: even .* and 7.5 N are needed"):
-        recommended([Context(friction=0.3)], RESPONSE, weak.configured())
+    with pytest.raises(ValueError, match=r"air_supply_rates = \(0.002, 0.004\) m3/s: the most .* 7.5 N are needed"):
+        optimal_schedule([Context(friction=0.3)], RESPONSE, weak.configured())
     loud = Plant(task={"vibration_measure": "acceleration"}).configured()
-    assert recommended(TUBES, RESPONSE, loud).schedule.position[-1] == 60.0
-    with pytest.raises(ValueError, match=r"task.vibration_measure = 'velocity': recommendations know displacement and"):
-        recommended(TUBES, RESPONSE, Plant(task={"vibration_measure": "velocity"}).configured())
+    assert optimal_schedule(TUBES, RESPONSE, loud).schedule.position[-1] == 60.0
+    with pytest.raises(ValueError, match=r"task.vibration_measure = 'velocity': recommendations support displacement"):
+        optimal_schedule(TUBES, RESPONSE, Plant(task={"vibration_measure": "velocity"}).configured())
 
 
 def test_air_is_safe_in_every_tube() -> None:
@@ -110,11 +110,11 @@ def test_air_is_safe_in_every_tube() -> None:
     air_in, air_back = safe_air(CONFIG, TRAIN.contexts, speeds)
     load = buckling_load(CONFIG.scene.probe)
     for air, safe in ((air_back, True), (air_back + 1.0, False)):
-        assert (max(pressed(CONFIG, tube, air, speeds[0]) for tube in TRAIN.contexts) <= load / MARGIN) == safe
-    pulls = pulled(CONFIG, TRAIN.contexts, np.array([air_in - 1.0, air_in]), speeds[1])
+        assert (max(root_compression(CONFIG, tube, air, speeds[0]) for tube in TRAIN.contexts) <= load / MARGIN) == safe
+    pulls = least_root_tension(CONFIG, TRAIN.contexts, np.array([air_in - 1.0, air_in]), speeds[1])
     assert pulls[0] < MARGIN * CONFIG.required_tension <= pulls[1]
     unseen = case_of(None, "test").contexts
-    assert [k for k, tube in enumerate(unseen) if pressed(CONFIG, tube, 130.0, 0.4) > load] == [29]
+    assert [k for k, tube in enumerate(unseen) if root_compression(CONFIG, tube, 130.0, 0.4) > load] == [29]
     fewer = safe_air(CONFIG, TRAIN.contexts[:6], speeds)
     assert fewer[0] <= air_in
     assert fewer[1] >= air_back
@@ -122,8 +122,8 @@ def test_air_is_safe_in_every_tube() -> None:
 
 def test_a_device_without_safe_air_is_refused() -> None:
     cases: list[tuple[dict[str, Any], str]] = [
-        ({"required_tension": 50.0}, "even the most pulls with .* N only where it pulls least, and 75 N are needed"),
-        ({"scene": {"probe": {"flexural_rigidity": 0.002}}}, "even the least presses with .* N on the way back, and"),
+        ({"required_tension": 50.0}, "the most air pulls with only .* N in the worst tube, and 75 N are needed"),
+        ({"scene": {"probe": {"flexural_rigidity": 0.002}}}, "the least air compresses with .* N; the limit is"),
     ]
     for update, message in cases:
         with pytest.raises(ValueError, match=message):
@@ -132,10 +132,10 @@ def test_a_device_without_safe_air_is_refused() -> None:
 
 def test_what_is_outside_the_training_ranges_is_reported() -> None:
     """Bore, friction and probe, each with value and range; nothing within them."""
-    assert beyond(TUBES, RESPONSE, PLANT.configured()) == []
+    assert outside_training(TUBES, RESPONSE, PLANT.configured()) == []
     odd = Plant(tube=Tubes(inner_diameter=28e-3), probe=Probe(line_density=0.13)).configured()
-    texts = "; ".join(beyond([Context(friction=0.4)], RESPONSE, odd))
-    for text in ("floats 0.009 to 0.009 m, beyond", "a probe of another line_density", "friction 0.4 to 0.4, beyond"):
+    texts = "; ".join(outside_training([Context(friction=0.4)], RESPONSE, odd))
+    for text in ("floats 0.009 to 0.009 m, beyond", "probe with different line_density", "friction 0.4 to 0.4, beyond"):
         assert text in texts
 
 
@@ -167,10 +167,10 @@ def test_it_is_written_without_a_simulation(tmp_path: Path, capsys: pytest.Captu
     assert sorted(path.name for path in tmp_path.iterdir()) == ["my.csv", "my.json", "tube.toml"]
     printed = capsys.readouterr().out
     assert "expected reward" in printed
-    assert "way in" not in printed
+    assert "withdrawal" not in printed
     (tmp_path / "tube.toml").write_text(TUBE + '[task]\npasses = "both"\n')
     assert main(["recommend", *arguments]) == 0
-    assert "my is for the way in, and drawn back as fast as the device can" in capsys.readouterr().out
+    assert "my is for the insertion; the withdrawal is at the fastest feed" in capsys.readouterr().out
 
 
 def test_what_is_refused_writes_nothing(

@@ -78,13 +78,13 @@ def test_an_agent_remembers_by_its_state_forgets_in_a_new_episode_and_picks_what
 def test_another_task_is_refused(tmp_path):
     saved(tmp_path / "agent.safetensors")
     for config, message in (
-        ({"observe_root_tension": False}, "observations = root_tension are not shown"),
+        ({"observe_root_tension": False}, "observations = root_tension are not observed"),
         ({"period": 2.0}, "period = 2.0 differs from 1.0"),
         ({"growing": False, "period": 0.1}, "growing = False"),
     ):
         with pytest.raises(ValueError, match=f"agent.safetensors: {message}"):
             load_bundle(tmp_path / "agent.safetensors", TaskConfig(**config))
-    with pytest.raises(ValueError, match="observations = moon are not shown"):
+    with pytest.raises(ValueError, match="observations = moon are not observed"):
         View(observations=("moon",)).columns(TASK)
     with pytest.raises(FileNotFoundError):
         load_bundle(tmp_path / "nowhere.safetensors")

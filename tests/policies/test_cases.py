@@ -9,7 +9,7 @@ import pytest
 from agents.cli import main
 from agents.evaluation.plan import run_plan
 from agents.evaluation.run import plan_of
-from agents.policies.cases import both_ways, case_of, load_case, map_of, with_probe
+from agents.policies.cases import case_of, load_case, map_of, round_trip, with_probe
 from agents.policies.catalogue import make_policy
 from agents.policies.on_map import LEAST_AIR, best_schedule_for, knots, least_air
 from agents.policies.policy import Domain, OutsideDomain, ranges_of
@@ -61,11 +61,11 @@ def test_schedules_reach_the_end_of_the_helix_within_the_plants_ranges():
 @pytest.mark.parametrize("passes", ["in", "both"])
 def test_what_policies_were_made_for_is_said_or_refused(passes):
     rough = Plant(contact={"friction": {"low": 0.2, "high": 0.4}}, tube={"inner_diameter": 22.1e-3})
-    place = case_of(rough, "test", 4)
+    case = case_of(rough, "test", 4)
     if passes == "both":
-        place = both_ways(place, "best")
+        case = round_trip(case, "best")
     with pytest.warns(OutsideDomain) as caught:
-        plan_of(["best-schedule", "tension-scheduled", "pi"], place, 1, "fast")
+        plan_of(["best-schedule", "tension-scheduled", "pi"], case, 1, "fast")
     assert [str(w.message).split(" was")[0] for w in caught] == ["best-schedule", "tension-scheduled"]
     for warning in caught:
         assert "inner_diameter = 0.0221 m, not 0.0242 m" in str(warning.message)
@@ -73,7 +73,7 @@ def test_what_policies_were_made_for_is_said_or_refused(passes):
     with pytest.raises(
         ValueError, match=r"tension-scheduled was not made for these tubes: .*probe-env study vibration-map --tube"
     ):
-        plan_of(["tension-scheduled"], place, 1, "fast", strict=True)
+        plan_of(["tension-scheduled"], case, 1, "fast", strict=True)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         plan_of(
@@ -85,7 +85,7 @@ def test_domains_know_other_probes_if_a_policy_was_made_for_them_and_reach_as_fa
     config = OTHER.configured().full_observation
     for spec, sees in (("ppo", False), ("ppo-any-probe", True), ("adaptive", True), ("tension-scheduled", False)):
         deviations = make_policy(spec, config).domain.outside(config, [Context()])
-        assert any("probe: another" in line for line in deviations) == (not sees)
+        assert any("probe: different" in line for line in deviations) == (not sees)
         assert any("helix_length = 80 m, beyond 60 m" in line for line in deviations)
     whole = Domain.of_map(stored_map()).ranges
     assert ranges_of("random") == whole
@@ -127,12 +127,12 @@ def small(tmp_path_factory):
 
 
 def test_a_map_is_found_beside_the_file_of_its_tubes_and_one_of_another_tube_is_refused(small, tmp_path):
-    place = load_case(small, "test", 6)
+    case = load_case(small, "test", 6)
     assert map_file(small).name == "small-map.npz"
-    assert place.vibration.scene == Plant.from_toml(small).scene
-    assert place.vibration == VibrationMap.load(map_file(small)) != stored_map()
-    policy = make_policy("tension-scheduled", place.config.full_observation, place.vibration)
-    assert policy.domain.outside(place.config, place.contexts) == []
+    assert case.vibration.scene == Plant.from_toml(small).scene
+    assert case.vibration == VibrationMap.load(map_file(small)) != stored_map()
+    policy = make_policy("tension-scheduled", case.config.full_observation, case.vibration)
+    assert policy.domain.outside(case.config, case.contexts) == []
     file, text = tmp_path / "small.toml", small.read_text()
     map_file(file).write_bytes(map_file(small).read_bytes())
     for changed, message in (

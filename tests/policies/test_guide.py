@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from agents.policies.bundle import Agent, Description, Network, build_policy, load_bundle, write_bundle
-from agents.policies.plc_law import Constants, PlcLaw, read_constants
+from agents.policies.plc_law import Constants, PlcProportional, read_constants
 from agents.policies.view import View
 from agents.training.config import Training
 from probe_env.envs.env import InsertionVectorEnv
@@ -31,7 +31,7 @@ def agent(view: View, network: Network, task: TaskConfig = TASK, weight: float |
 def test_an_agent_that_does_nothing_acts_as_its_law() -> None:
     """Through a real insertion and the beginning of another, to the rounding of an action in single precision."""
     guided = agent(View(guide=OWN, least_air_supply_rate=0.0125), Network(net_arch=(8,)), weight=0.0)
-    law = PlcLaw(TASK, OWN)
+    law = PlcProportional(TASK, OWN)
     env = InsertionVectorEnv(2, TASK, fidelity="fast")
     observation, _ = env.reset(seed=3)
     states, start = [None, None], np.ones(2, dtype=bool)
@@ -76,7 +76,7 @@ def test_a_guide_is_named_and_needs_its_feeds_and_its_observations() -> None:
     with pytest.raises(ValueError, match="guide"):
         Training.model_validate({"guide": "moon"})
     guided = agent(View(guide=OWN), Network(net_arch=(8,)))
-    with pytest.raises(ValueError, match=r"feed_speeds = .* differs from .* guide acts"):
+    with pytest.raises(ValueError, match=r"feed_speeds = .* differs from .* the range of the agent's guide"):
         Agent(guided.description, guided.policy, TaskConfig(feed_speeds=(0.02, 0.3)).full_observation)
     with pytest.raises(ValueError, match="guide needs the observations root_tension, helix_diameter"):
         View(guide=OWN, observations=("inserted_length", "feed_speed", "air_supply_rate", "rf_noise"))

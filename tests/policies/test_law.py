@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from agents.evaluation.plan import Plan, run_plan
-from agents.plant.recommendation import recommended, recommended_law
+from agents.plant.recommendation import optimal_law, optimal_schedule
 from agents.plant.response import stored_response
 from agents.policies.catalogue import named_policies
-from agents.policies.law import Law, Lawful
+from agents.policies.law import Law, LawPolicy
 from probe_env import Context, Plant, Scene, TaskConfig
 from probe_env.fidelity import PRESETS
 from probe_env.physics.closed_forms import sliding_tension
@@ -53,7 +53,7 @@ def test_what_is_no_law_is_refused_in_one_line(tmp_path: Path) -> None:
     failures = []
     for change, problem in (
         ({"friction": [0.2, 0.1]}, "friction must ascend"),
-        ({"friction": [0.1, 0.15, 0.2]}, "tables.0.feed_speed: must be 3 rows of 2"),
+        ({"friction": [0.1, 0.15, 0.2]}, "tables.0.feed_speed: must have 3 rows"),
         ({"inserted_length": [5.0]}, "inserted_length"),
         ({"tables": []}, "tables"),
         ({"extra": 1}, "extra"),
@@ -76,10 +76,10 @@ def test_its_rows_are_recommendations() -> None:
     """A row is what is recommended for draws with its friction; the frictions reach around those of the draws."""
     config, response = Plant().configured(), stored_response()
     tubes = [Context(friction=mu) for mu in (0.13, 0.17)]
-    law = recommended_law(tubes, response, config)
+    law = optimal_law(tubes, response, config)
     assert law.friction == (0.12, 0.14, 0.16, 0.18)
     alike = [tube.model_copy(update={"friction": 0.14}) for tube in tubes]
-    assert law.tables[0].feed_speed[1] == recommended(alike, response, config).schedule.feed_speed
+    assert law.tables[0].feed_speed[1] == optimal_schedule(alike, response, config).schedule.feed_speed
     assert law.scene == config.scene
     assert Law.model_validate_json(law.model_dump_json()) == law
 
@@ -94,7 +94,7 @@ def test_it_settles_on_the_friction_of_steady_sliding() -> None:
     """From the middle of its rows with its time constant: after 15 s 1 - 1/e of the way."""
     config = TaskConfig().full_observation
     law, memory = Law.model_validate(GIVEN | {"scene": Scene(), "ranges": {}} | FLAT), np.zeros((2, 1))
-    policy = Lawful(config, law=law)
+    policy = LawPolicy(config, law=law)
     policy.start(memory)
     rest = {"inserted_length": 40.0, "feed_speed": 0.2, "air_supply_rate": 0.0175, "helix_diameter": 1.2}
     seen = {name: np.full(2, value) for name, value in rest.items()}
@@ -114,7 +114,7 @@ def test_it_feeds_by_the_friction_that_the_tension_tells() -> None:
     """
     config = TaskConfig().full_observation
     law = Law.model_validate(GIVEN | {"scene": Scene(), "ranges": {}} | FLAT)
-    plan = Plan({"law": Lawful(config, law=law)}, [Context(friction=0.1), Context(friction=0.2)], config=config,
+    plan = Plan({"law": LawPolicy(config, law=law)}, [Context(friction=0.1), Context(friction=0.2)], config=config,
                 fidelity=PRESETS["fast"])  # fmt: skip
     times = run_plan(plan, None, progress=False)["inspection_time_s"]
     assert times[0] == pytest.approx(55.0 / 0.3, rel=0.15)

@@ -17,10 +17,10 @@ from agents.policies.planner import (
     blur_states,
     candidates_for_both_passes,
     candidates_near,
-    earned,
     move_to,
-    worth_of_both_passes,
-    worth_of_rest,
+    remaining_reward,
+    remaining_reward_of_both_passes,
+    reward_of_holding,
 )
 from probe_env import Context, Scene
 from probe_env.arrays import FloatArray
@@ -120,7 +120,7 @@ def test_the_best_candidate_earns_most_until_the_end() -> None:
         played, action = copy.deepcopy(episodes), CONFIG.actions(*tried[:, candidate].T).astype(np.float32)
         reward = sum(played.step(action).reward for _ in range(3))
         pairs = zip(TUBES, played.inserted_length, strict=True)
-        worth.append(reward + [worth_of_rest(tube, length, CONFIG, stored_map()) for tube, length in pairs])
+        worth.append(reward + [remaining_reward(tube, length, CONFIG, stored_map()) for tube, length in pairs])
     best = tried[[0, 1], np.argmax(worth, axis=0)]
     np.testing.assert_array_equal(actions, CONFIG.actions(*best.T).astype(np.float32))
     assert [(state.feed, state.air) for state in states] == [tuple(row) for row in best.tolist()]
@@ -130,7 +130,7 @@ def test_nothing_comes_after_the_end_and_lost_drive_costs_what_is_left() -> None
     planner, held = InsertionPlanner(CONFIG), np.tile([0.4, 0.03], (2, 1))
     short = running(TaskConfig(scene={"tube": {"helix_length": 10.0}}), periods=8, feed=0.4)
     assert (planner._rest(short, held) != 0.0).all()
-    earned(short, held, 6)
+    reward_of_holding(short, held, 6)
     assert not short.running.any()
     assert (planner._rest(short, held) == 0.0).all()
     slack = running(TaskConfig(required_tension=50.0, lost_drive_from=0.0), periods=1)  # no air of the range keeps that
@@ -151,7 +151,7 @@ def test_blur_and_another_tube_are_of_the_copies_alone_and_alike_for_all_of_a_pr
     assert moved[0].scene.carrier_length == scene.carrier_length
     np.testing.assert_array_equal(moved[0].state.d, moved[1].state.d)
     assert 0.1 * BLUR < np.std(moved[0].state.d - state) < BLUR
-    earned(copies, np.tile([0.3, 0.02], (3, 1)), 1)
+    reward_of_holding(copies, np.tile([0.3, 0.02], (3, 1)), 1)
     np.testing.assert_array_equal(moved[0].state.d, moved[1].state.d)
     np.testing.assert_array_equal(episodes.batch.simulators[0].state.d, state)
     assert (episodes.context[0], episodes.batch.simulators[0].scene) == (TUBES[0], scene)
@@ -167,15 +167,15 @@ def test_the_rest_is_worth_what_the_best_schedule_earns_by_the_map() -> None:
     rate = CONFIG.progress_weight - expected_cost(mean, deviation, feed, air, CONFIG)
     for k in (0, 7, len(places) - 2):
         wanted = np.trapezoid(rate[k:], np.minimum(places[k:], CONFIG.scene.tube.helix_length))
-        assert worth_of_rest(tube, np.array([places[k]]), CONFIG, vibration)[0] == pytest.approx(wanted, rel=1e-9)
-    assert worth_of_rest(tube, np.array([CONFIG.scene.tube.helix_length]), CONFIG, vibration)[0] == 0.0
+        assert remaining_reward(tube, np.array([places[k]]), CONFIG, vibration)[0] == pytest.approx(wanted, rel=1e-9)
+    assert remaining_reward(tube, np.array([CONFIG.scene.tube.helix_length]), CONFIG, vibration)[0] == 0.0
     # beyond the last knot of a helix a schedule is what it is there, and so is what a metre of it earns
     end = 31.2
     config = TaskConfig(scene=Scene.model_validate({"tube": {"helix_length": end}, "carrier_length": 20.0}))
     last = knots(config)[-1]
     assert last < end
     places = np.array([last, last + 0.5, end])
-    before, within, after = worth_of_rest(TUBES[0], places, config, stored_map())
+    before, within, after = remaining_reward(TUBES[0], places, config, stored_map())
     assert after == 0.0 != within
     assert within / (end - last - 0.5) == pytest.approx((before - within) / 0.5, rel=1e-9)
 
@@ -198,7 +198,7 @@ def test_an_estimated_tube_is_read_from_the_tension(seeds: Callable[[int], Seque
     assert (known.helix_diameter, known.contact_stiffness) == (TUBES[0].helix_diameter, Context().contact_stiffness)
     assert known.friction == pytest.approx(states[0].friction, abs=0.0025)
     blind = TaskConfig(observe_root_tension=False)
-    with pytest.raises(ValueError, match="needs a task that shows the root tension"):
+    with pytest.raises(ValueError, match="planner-estimated needs the root tension"):
         InsertionPlanner(blind, tube="estimated").decide(episodes, [0], np.zeros((1, len(blind.observations))), [None])
 
 
@@ -230,7 +230,7 @@ def held(config: TaskConfig, feed: float, air: float) -> FloatArray:
 
 def rest(episodes: Episodes, feed: float = 0.4, air: float = 30.0 / 3600.0) -> FloatArray:
     """Worth with the same feed and air held in all episodes: by default the fastest and the least."""
-    return worth_of_both_passes(episodes, np.tile([feed, air], (len(episodes), 1)))
+    return remaining_reward_of_both_passes(episodes, np.tile([feed, air], (len(episodes), 1)))
 
 
 @pytest.mark.parametrize(("inspects", "measure"), [("best", "displacement"), ("back", "snr")])
@@ -302,8 +302,8 @@ def test_what_is_earned_ends_with_the_episode() -> None:
     config = task()
     episodes = begun(config)
     actions = np.array([[0.4, 0.02], [0.25, 0.02]])
-    whole = earned(episodes.fork([0, 1]), actions, 1000)
-    np.testing.assert_allclose(earned(episodes.fork([0, 1]), actions, 22)[0], whole[0])
+    whole = reward_of_holding(episodes.fork([0, 1]), actions, 1000)
+    np.testing.assert_allclose(reward_of_holding(episodes.fork([0, 1]), actions, 22)[0], whole[0])
     rewards = np.zeros(2)
     while episodes.running.any():
         given = config.actions(*actions.T).astype(np.float32)
@@ -332,12 +332,12 @@ def test_planners_play_by_name_and_say_what_they_cannot() -> None:
     assert make_policy("planner-estimated", CONFIG).describe()["tube"] == "estimated"
     assert make_policy("planner", config).describe()["blur"] == 0.0
     assert make_policy("planner-blurred", config).describe()["blur"] == BLUR
-    with pytest.raises(ValueError, match="'planner-estimated' looks ahead on the way in alone; planners of both ways"):
+    with pytest.raises(ValueError, match="'planner-estimated' plans the insertion only; planners for --passes both"):
         make_policy("planner-estimated", config)
-    with pytest.raises(ValueError, match="inspects = 'in': the way back counts for nothing"):
+    with pytest.raises(ValueError, match="inspects = 'in': the withdrawal is not scored"):
         make_policy("planner", task("in"))
     for each, kind in ((CONFIG, InsertionPlanner), (config, InspectionPlanner)):
         with pytest.raises(ValueError, match="candidates = 0 is outside the accepted range 1 to 1000"):
             kind(each, candidates=0)
-        with pytest.raises(ValueError, match="a planner tries things out on the simulator itself"):
+        with pytest.raises(ValueError, match="a planner needs the simulator, not only observations"):
             make_policy("planner", each).predict(np.zeros(len(each.observations)))

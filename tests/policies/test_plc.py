@@ -19,9 +19,9 @@ from agents.policies.plc_law import (
     RAISED,
     Constants,
     PlantData,
-    PlcLaw,
+    PlcIntegral,
+    PlcProportional,
     Trim,
-    TrimmedLaw,
     friction_of,
     law_at,
     read_constants,
@@ -79,7 +79,7 @@ def test_friction_is_that_of_steady_sliding():
 
 
 def test_fast_with_little_air_up_to_the_onset_then_slow_with_all_of_it():
-    law = PlcLaw(CONFIG, Constants(shift=0.0))
+    law = PlcProportional(CONFIG, Constants(shift=0.0))
     lengths = np.linspace(5.0, 60.0, 111)
     rows, memory = measured(1e-5, lengths, 1.5, FRICTION), np.zeros((111, 2))
     law.start(memory)
@@ -91,14 +91,14 @@ def test_fast_with_little_air_up_to_the_onset_then_slow_with_all_of_it():
     slow = law.constants.slow_feed * (lengths[~fast] / 30.0) ** -law.constants.slow_length
     np.testing.assert_allclose(feed[~fast], slow, rtol=1e-6)
     memory[:, 1] = np.log(1e-3)
-    louder = PlcLaw(CONFIG, Constants(shift=0.3)).targets(rows | {"rf_noise": np.full(111, 1e-3)}, memory)
+    louder = PlcProportional(CONFIG, Constants(shift=0.3)).targets(rows | {"rf_noise": np.full(111, 1e-3)}, memory)
     assert (louder[0] <= feed).all()
 
 
 def test_the_trimmed_feed_falls_and_rises_as_fast_as_its_time_says():
     """With noise far from the aim the trim is linear in time, by the least and the greatest error, up to its limit."""
     slow = Constants(slow_feed=0.1)  # far from both ends of the device's range
-    law, trimmed = PlcLaw(CONFIG, slow), TrimmedLaw(CONFIG, slow, TRIM)
+    law, trimmed = PlcProportional(CONFIG, slow), PlcIntegral(CONFIG, slow, TRIM)
     settled = 10  # 2.5 time constants of the noise's average: what is left of the start is less than is cut off
     assert settled == 2.5 * NOISE_AVERAGE / CONFIG.period
     for noise, rate in ((1e-3, -LOWERED), (1e-6, RAISED)):
@@ -108,15 +108,15 @@ def test_the_trimmed_feed_falls_and_rises_as_fast_as_its_time_says():
         assert np.diff(np.log(by_trim / by_law)[settled:]) == pytest.approx(rate * CONFIG.period / TRIM.time)
     long = measured(1e-3, np.full(400, 40.0))
     assert np.log(acted(trimmed, long)[0] / acted(law, long)[0]).min() == pytest.approx(-MOST_TRIM)
-    at_aim = acted(TrimmedLaw(CONFIG, trim=TRIM), measured(TRIM.aim, np.full(200, 40.0)))[0]
+    at_aim = acted(PlcIntegral(CONFIG, trim=TRIM), measured(TRIM.aim, np.full(200, 40.0)))[0]
     assert at_aim[100:] == pytest.approx(at_aim[100], rel=1e-3)
-    feed, air = acted(TrimmedLaw(CONFIG, Constants(shift=0.0), TRIM), measured(1e-3, np.full(200, 5.0)))
+    feed, air = acted(PlcIntegral(CONFIG, Constants(shift=0.0), TRIM), measured(1e-3, np.full(200, 5.0)))
     assert (feed == CONFIG.feed_speeds[1]).all()  # before the onset
     assert (air == PLANT.air_supply_rates[0]).all()
 
 
 def test_many_act_as_one():
-    rng, law, memory = np.random.default_rng(0), TrimmedLaw(CONFIG, trim=TRIM), np.zeros((3, 4))
+    rng, law, memory = np.random.default_rng(0), PlcIntegral(CONFIG, trim=TRIM), np.zeros((3, 4))
     tubes = [measured(10.0 ** rng.uniform(-5.5, -3.5, 60), np.linspace(8.0, 50.0, 60)) for _ in range(3)]
     law.start(memory)
     for k in range(60):
@@ -132,7 +132,7 @@ def test_structured_text_does_what_the_policy_does(trim, most_air):
     """
     rng, count = np.random.default_rng(1), 400
     config = CONFIG.model_copy(update={"air_supply_rates": (CONFIG.air_supply_rates[0], most_air / 3600.0)})
-    law = PlcLaw(config) if trim is None else TrimmedLaw(config, trim=trim)
+    law = PlcProportional(config) if trim is None else PlcIntegral(config, trim=trim)
     block = FunctionBlock(structured_text(law.constants, PlantData.of(config), trim))
     plant = {"AIR_SPEED", "DRAG", "FLOAT_DIAMETER", "LEAST_FEED", "MOST_FEED", "LEAST_AIR", "MOST_AIR"}
     constants = {name.upper() for name in Constants.model_fields} | plant
@@ -176,7 +176,8 @@ def test_text_has_no_exponents_and_a_table_says_what_the_law_does():
 
 
 def test_stored_constants_go_by_name_and_damaged_files_are_refused(tmp_path):
-    assert make_policy("plc-proportional", CONFIG).describe() == {"policy": "PlcLaw"} | read_constants().model_dump()
+    described = {"policy": "PlcProportional"} | read_constants().model_dump()
+    assert make_policy("plc-proportional", CONFIG).describe() == described
     assert make_policy("plc-integral", CONFIG).describe()["aim"] == read_trim().aim
     for old, new in OLD_NAMES.items():
         assert make_policy(old, CONFIG).describe() == make_policy(new, CONFIG).describe()
@@ -196,14 +197,14 @@ def test_a_plant_that_the_law_was_not_made_for_is_told_so(tmp_path):
     file = tmp_path / "mine.toml"
     for text, warned in (
         ("[task]\nrequired_tension = 0.8\n", None),
-        ("[task]\nrequired_tension = 2.5\n", "2.5 N: the law's least air, 45 m3/h, was chosen for 0.8 N"),
+        ("[task]\nrequired_tension = 2.5\n", "2.5 N: the law's least air, 45 m3/h, is for 0.8 N"),
         ("[tube]\ninner_diameter = 22.5e-3\n", "the law was not made for these tubes: inner_diameter = 0.0225 m"),
     ):
         file.write_text(text)
-        place = load_case(file, "test")
+        case = load_case(file, "test")
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
-            write_law(read_constants(), PlantData.of(place.config), place, tmp_path / "law.st", None)
+            write_law(read_constants(), PlantData.of(case.config), case, tmp_path / "law.st", None)
         assert len(caught) == (warned is not None), text
         assert all(warned in str(warning.message) for warning in caught)
     assert caught[0].category is OutsideDomain

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agents.policies.catalogue import NAMES, make_policy, name_and_spec, named_policies, own_policies
+from agents.policies.catalogue import NAMES, make_policy, name_and_spec, named_policies, user_policies
 from agents.policies.fixed import PI, Constant, OnOff, SlowDown
 from agents.training.config import Training
 from probe_env.envs.task import TaskConfig
@@ -56,7 +56,7 @@ def test_policies_name_what_their_task_does_not_show():
     for name, config, message in (
         ("privileged", TaskConfig(), r"Privileged needs a task that shows the tube \(privileged = true\)"),
         ("adaptive", TaskConfig(observe_root_tension=False), "Adaptive needs a task that shows the root tension"),
-        ("plc-proportional", TaskConfig(observe_root_tension=False), "PlcLaw needs a task that shows the root tension"),
+        ("plc-proportional", TaskConfig(observe_root_tension=False), "PlcProportional needs a task that shows the"),
     ):
         with pytest.raises(ValueError, match=message):
             make_policy(name, config)
@@ -101,7 +101,7 @@ def test_fixed_laws_do_what_they_are_called():
 def test_a_schedule_beyond_the_device_is_told(tmp_path):
     path = tmp_path / "fast.csv"
     path.write_text("inserted_length_m,feed_speed_m_per_s,air_supply_m3_per_h\n5,1.5,63\n60,0.1,63\n")
-    with pytest.warns(UserWarning, match=r"fast.csv: feed speed of 0.1 to 1.5 m/s goes beyond .* 0.02 to 0.4 m/s"):
+    with pytest.warns(UserWarning, match=r"fast.csv: feed speed of 0.1 to 1.5 m/s is outside .* 0.02 to 0.4 m/s"):
         policy = make_policy(str(path), CONFIG)
     assert feed_of(policy.predict(observation(5.0))[0])[0] == pytest.approx(0.4)
 
@@ -137,22 +137,22 @@ def test_a_class_of_the_user_is_a_policy_where_it_is_asked_for(tmp_path, monkeyp
     specs = [spec, f"slow={spec}", f"shielded:{spec}", "pi"]
     policies = named_policies(specs, CONFIG, classes=True)
     assert list(policies) == ["Mine", "slow", "shielded-Mine", "pi"]
-    assert own_policies(specs) == ["Mine", "slow", "shielded-Mine"]
+    assert user_policies(specs) == ["Mine", "slow", "shielded-Mine"]
     assert feed_of(policies["Mine"].predict(observation())[0])[0] == pytest.approx(0.1)
     both = make_policy(spec, TaskConfig(passes="both").full_observation, classes=True)
-    assert both.forth.describe() == policies["Mine"].describe()
+    assert both.insertion.describe() == policies["Mine"].describe()
     for given, message in (
         ("nowhere_at_all:Mine", "cannot be imported (ModuleNotFoundError: No module named 'nowhere_at_all'): install"),
         ("broken_here:Mine", "cannot be imported (ModuleNotFoundError"),
         ("own_policies_here:Other", "own_policies_here has no class Other"),
         ("own_policies_here:mine", "own_policies_here has no class mine"),
         ("own_policies_here:Mute", "the class has no method describe"),
-        ("own_policies_here:Picky", "cannot be made for the task (TypeError: two; lines)"),
+        ("own_policies_here:Picky", "cannot be created for the task (TypeError: two; lines)"),
     ):
         with pytest.raises(ValueError, match=rf"^policy = '{given}'.*{re.escape(message)}"):
             make_policy(given, CONFIG, classes=True)
     sys.modules.pop("own_policies_here")
-    with pytest.raises(ValueError, match="a file may not ask for that"):
+    with pytest.raises(ValueError, match="specs from a file must not do"):
         make_policy(spec, CONFIG)
     with pytest.raises(ValueError, match=r"imitation\.teacher: policy = 'own_.*:Mine': a class imports code"):
         Training.model_validate({"imitation": {"teacher": spec}})

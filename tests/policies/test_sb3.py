@@ -57,6 +57,6 @@ def test_what_would_act_otherwise_is_refused(env, tmp_path):
     import torch
 
     other = PPO("MlpPolicy", env, policy_kwargs={"activation_fn": torch.nn.ReLU}, device="cpu")
-    with pytest.raises(ValueError, match="policy_kwargs: a bundle does not describe activation_fn"):
+    with pytest.raises(ValueError, match="policy_kwargs: a bundle cannot store activation_fn"):
         save_bundle(tmp_path / "other.safetensors", other, CONFIG)
     assert not list(tmp_path.iterdir())

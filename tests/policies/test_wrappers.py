@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from agents.evaluation.plan import Plan, RolloutRunner
-from agents.policies.catalogue import domains_of, make_policy, name_and_spec, named_policies, own_policies
+from agents.policies.catalogue import domains_of, make_policy, name_and_spec, named_policies, user_policies
 from agents.policies.fixed import Constant
 from agents.policies.wrappers import Shielded
 from probe_env import Context, Scene, TaskConfig
@@ -132,21 +132,21 @@ def test_it_goes_by_a_prefix(tmp_path):
     specs = [f"shielded:{file}", "shielded:best-schedule", "best-schedule"]
     policies = named_policies(specs, CONFIG)
     assert list(policies) == ["shielded-own", "shielded-best-schedule", "best-schedule"]
-    assert own_policies(specs) == ["shielded-own"]
+    assert user_policies(specs) == ["shielded-own"]
     domains = domains_of(specs, policies)
     assert domains["shielded-best-schedule"] == domains["best-schedule"]
     both = make_policy("shielded:fast-in", TaskConfig(passes="both").full_observation)
-    assert isinstance(both.forth, Shielded)
+    assert isinstance(both.insertion, Shielded)
     assert make_policy("shielded:pi", CONFIG).describe() == make_policy("shielded:pi", CONFIG).describe()
 
 
 def test_what_it_cannot_do_is_refused():
     with pytest.raises(ValueError, match=r"margin = 0.5 is outside the accepted range 1 to 100"):
         Shielded(CONFIG, Given([[0.0, 0.0]]), margin=0.5)
-    with pytest.raises(ValueError, match="a shield needs a task that shows the root tension"):
+    with pytest.raises(ValueError, match="the shield needs the root tension"):
         make_policy("shielded:pi", TaskConfig(observe_root_tension=False))
     for passes in ("in", "both"):
-        with pytest.raises(ValueError, match="'shielded:planner': the shield is for what goes by observations"):
+        with pytest.raises(ValueError, match="'shielded:planner': the shield needs a policy that acts on observations"):
             make_policy("shielded:planner", TaskConfig(passes=passes).full_observation)
     with pytest.raises(ValueError, match="'reference': superelement does not simulate the way back; give one of stan"):
         resolve_fidelity("reference", both_ways=True)

@@ -65,16 +65,16 @@ def test_environments_simulate_such_a_scene_by_default(env_id):
 def test_an_evaluation_by_auto_goes_by_its_own_tubes():
     """As its episodes do; a contact that is harder than table 2's takes another setting."""
     hard = Plant.model_validate({"contact": {"stiffness": 5e5}})
-    place = case_of(hard, "test", 2)
-    plan = plan_of(["constant"], place, 1, "auto:0.5")
-    episodes = Episodes(1, plan.config, threads=1, fidelity="auto:0.5", contexts=place.contexts)
+    case = case_of(hard, "test", 2)
+    plan = plan_of(["constant"], case, 1, "auto:0.5")
+    episodes = Episodes(1, plan.config, threads=1, fidelity="auto:0.5", contexts=case.contexts)
     assert plan.fidelity == episodes.fidelity != resolve_fidelity("auto:0.5")
 
 
 def test_an_evaluation_keeps_what_it_was_simulated_with():
     """In the plan, so in setting and manifest, also at half the step and where a finer fidelity checks it."""
-    place = case_of(Plant.model_validate(SHORT | CABLE), "test", 1)
-    plan = plan_of(["constant"], place, 1, "fast")
+    case = case_of(Plant.model_validate(SHORT | CABLE), "test", 1)
+    plan = plan_of(["constant"], case, 1, "fast")
     assert plan.fidelity == resolve_fidelity("fast", Scene.model_validate(CABLE))
     assert plan.setting()["fidelity"] == plan.fidelity.model_dump()
     episodes = Episodes(1, plan.config, threads=1, fidelity=PRESETS["fast"])

@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 
 from agents.plant.recommendation import safe_air
-from agents.policies.cases import both_ways, case_of
+from agents.policies.cases import case_of, round_trip
 from agents.policies.catalogue import make_policy
 from agents.studies.builtin import Request
 from agents.studies.shipped import best_round_trip as searched
@@ -21,7 +21,7 @@ from probe_env.envs.plants import FeedDevice, Supply, Tubes
 from probe_env.inspection.metrics import POD_NAMES
 from probe_env.schedule import BACK, FORTH, Schedule
 
-CONFIG = both_ways(case_of(None, "train", 1), "best").config
+CONFIG = round_trip(case_of(None, "train", 1), "best").config
 TUBES = case_of(None, "train").contexts
 SPACE = ranges(CONFIG, TUBES)
 PLANT = Plant(
@@ -53,7 +53,7 @@ def folders(monkeypatch: pytest.MonkeyPatch) -> list[str]:
         seen.append(output.name)
         rows = []
         for name, policy in plan.policies.items():
-            ways = [way.at(20.0) for way in (policy.forth.schedule, policy.back)]
+            ways = [way.at(20.0) for way in (policy.insertion.schedule, policy.withdrawal)]
             values = [value for feed, air in ways for value in (float(feed), 3600.0 * float(air))]
             numbers = dict(zip(COLUMNS, values, strict=True))
             for tube in range(len(plan.contexts)):
@@ -110,7 +110,7 @@ def test_the_file_says_both_ways(tmp_path: Path) -> None:
     for length in (5.0, 33.0, 60.0):
         for schedule, numbers in ((forth, (0.3, 70.0)), (back, (0.15, 90.0))):
             assert [float(v) for v in schedule.at(length)] == pytest.approx([numbers[0], numbers[1] / 3600.0])
-        assert np.allclose(played.back.at(length), back.at(length), rtol=1e-12)
+        assert np.allclose(played.withdrawal.at(length), back.at(length), rtol=1e-12)
 
 
 def test_what_is_tried_is_what_the_device_can_do() -> None:
@@ -118,8 +118,8 @@ def test_what_is_tried_is_what_the_device_can_do() -> None:
 
     Steps [m3/h] of a coarse supply do not round air out of what is safe.
     """
-    place = both_ways(case_of(PLANT, "train", 6), "best")
-    config, space = place.config, ranges(place.config, place.contexts)
+    case = round_trip(case_of(PLANT, "train", 6), "best")
+    config, space = case.config, ranges(case.config, case.contexts)
     given = as_given(config, dict(zip(COLUMNS, (0.1337, 40.0, 0.2, 53.0), strict=True)))
     assert [given[name] for name in COLUMNS] == pytest.approx([0.135, 39.6, 0.2, 54.0])
     first = starts(config, space)

@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from agents.policies.catalogue import make_policy
-from agents.policies.plc_law import PlcLaw, Trim, read_constants, read_trim
+from agents.policies.plc_law import PlcProportional, Trim, read_constants, read_trim
 from agents.records.manifest import commit
 from agents.studies.builtin import Request
 from agents.studies.shipped import plc_constants as search
@@ -45,7 +45,7 @@ def test_a_quasi_steady_world_earns_what_the_map_expects_of_a_schedule() -> None
 
 def test_the_law_keeps_the_reward_of_tension_scheduled_on_training_tubes_by_the_map() -> None:
     tubes, vibration = spread_contexts("train", 12), stored_map()
-    law = quasi_steady_rewards(PlcLaw(CONFIG), tubes, vibration).mean()
+    law = quasi_steady_rewards(PlcProportional(CONFIG), tubes, vibration).mean()
     schedule = quasi_steady_rewards(make_policy("best-schedule", CONFIG), tubes, vibration).mean()
     assert law > schedule + 5.0  # no dice in this world
 
@@ -82,7 +82,7 @@ def test_a_search_goes_from_the_map_to_the_simulation(tmp_path, monkeypatch) -> 
 
 def test_the_grid_takes_the_best_and_says_by_how_much(tmp_path, monkeypatch) -> None:  # type: ignore[no-untyped-def]
     def run_plan(plan, folder, workers):  # type: ignore[no-untyped-def]
-        assert plan.policies[UNTRIMMED].describe()["policy"] == "PlcLaw"
+        assert plan.policies[UNTRIMMED].describe()["policy"] == "PlcProportional"
         rows = []
         for name, policy in plan.policies.items():
             trim = getattr(policy, "trim", None)

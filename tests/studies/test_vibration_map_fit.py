@@ -57,8 +57,8 @@ def test_a_tube_of_your_own_has_its_map_and_schedules(tmp_path: Path, monkeypatc
     file = tmp_path / "small.toml"
     file.write_text("[tube]\nhelix_diameter = 0.8\nhelix_length = 7.0\ninner_diameter = 23e-3\n")
     assert maker.run(Request(tmp_path / "map", trials=1, tube=file)) == map_file(file)
-    place, loaded = load_case(file, "test", 6), VibrationMap.load(map_file(file))
-    assert place.vibration == loaded
+    case, loaded = load_case(file, "test", 6), VibrationMap.load(map_file(file))
+    assert case.vibration == loaded
     assert loaded.scene == Plant.from_toml(file).scene
     assert loaded.digest != stored_map().digest
     where = (np.array([6.0]), np.array([0.1]), np.array([0.02]), np.array([[0.15, 1e5, 1.0, 0.8]]))

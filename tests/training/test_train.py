@@ -21,7 +21,7 @@ from agents.policies.cases import plant_at
 from agents.policies.catalogue import make_policy
 from agents.policies.fixed import Constant
 from agents.policies.view import View
-from agents.policies.wrappers import BothWays
+from agents.policies.wrappers import RoundTripPolicy
 from agents.training.config import Training
 from agents.training.train import BEST, CHECKPOINT, CURVE, RUN, VALIDATED, run_lock, train_all
 from probe_env import Fidelity, load_contexts
@@ -132,7 +132,7 @@ def test_stopped_before_any_file_is_in_its_place_and_killed_it_goes_on(tmp_path,
 
 def test_an_existing_run_is_not_overwritten_nor_mixed(run, tmp_path):
     folder = tmp_path / "other" / "seed-0"
-    with run_lock(folder), pytest.raises(ValueError, match="seed-0: another process trains there"):
+    with run_lock(folder), pytest.raises(ValueError, match="seed-0: another process is training there"):
         train_all(Training(**PPO), folder.parent, resume=False)
     assert not list(folder.iterdir())
     with run_lock(folder):
@@ -140,8 +140,8 @@ def test_an_existing_run_is_not_overwritten_nor_mixed(run, tmp_path):
     before = (run / "seed-0" / CHECKPOINT).read_bytes()
     other = PPO | {"learning": {"n_steps": 16, "batch_size": 16}}
     for settings, resume, message in (
-        (ONE, False, "give --resume"),
-        (ONE | {"seeds": (7, 0)}, False, "give --resume"),
+        (ONE, False, "continue it with --resume"),
+        (ONE | {"seeds": (7, 0)}, False, "continue it with --resume"),
         (other, True, r"other settings \(learning\)"),
     ):
         with pytest.raises(ValueError, match=message):
@@ -215,7 +215,7 @@ BROKEN = {
     "algorithm = 'a2c'": "algorithm: ",
     "seeds = [1, 1]": "seeds = ",
     "seeds = [-1]": "seeds.0",
-    "phases = 0": "leaves nothing to train",
+    "phases = 0": "means no training",
     "averages = [0.0]": "averages",
     "colour = 1": "colour",
     "[learning]\nmomentum = 1": "learning.momentum is not one of ppo's",
@@ -309,7 +309,7 @@ def test_an_agent_of_both_passes_is_asked_on_both(tmp_path, validations, monkeyp
     table = run_plan(Plan({"agent": agent}, load_contexts("test")[:1], (0,), config, BACK), None)
     assert {1.0, -1.0} <= set(asked)
     assert bool(table["complete"].all())
-    with pytest.raises(FileError, match=r"observations = way are not .*; an agent that sees the way is for passes ="):
+    with pytest.raises(FileError, match=r'observations = way are not .*; "way" needs passes ='):
         make_policy(path, TaskConfig().full_observation)
     with pytest.raises(ValueError, match=r"policy = 'shielded:.*agent.safetensors': the shield is for the way in"):
         make_policy(f"shielded:{path}", config)
@@ -343,4 +343,4 @@ def test_both_ways_need_a_method_that_goes_back():
         settings = SHIFT | {part: SHIFT[part] | {"fidelity": Fidelity()}}
         with pytest.raises(ValueError, match="superelement32 does not simulate the way back; give one of"):
             Training(**settings)
-    assert isinstance(make_policy("ppo", TaskConfig(passes="both").full_observation), BothWays)
+    assert isinstance(make_policy("ppo", TaskConfig(passes="both").full_observation), RoundTripPolicy)

@@ -16,7 +16,7 @@ from agents.records.shipped import file_or_shipped
 from agents.training import tuning as module
 from agents.training.config import LIMITS, ROLLOUT, USUAL, Range, Training, axes_of
 from agents.training.train import CHECKPOINT, RUN
-from agents.training.tuning import JUDGES, Tuning, search
+from agents.training.tuning import STARTUP_TRIALS, Tuning, search
 from probe_env.files import FileError
 
 FILE = """
@@ -110,11 +110,11 @@ def test_points_stay_in_the_space_and_the_first_is_the_file_itself_with_any_seed
 
 
 def test_trainings_below_the_median_of_those_before_end_early(whole):
-    """At the first phase of two, once there are ``JUDGES`` to judge by; the last phase ends by itself."""
+    """At the first phase of two, after ``STARTUP_TRIALS`` complete trials; the last phase ends by itself."""
     complete, pruned = [], 0
     for row in table_of(whole).itertuples():
         first = row.reward - 0.1 * (row.phases - 1)
-        hopeless = len(complete) >= JUDGES and first < np.median(complete) - 1e-9
+        hopeless = len(complete) >= STARTUP_TRIALS and first < np.median(complete) - 1e-9
         assert (row.state, row.phases) == (("pruned", 1) if hopeless else ("complete", 2))
         pruned += hopeless
         complete += [] if hopeless else [first]
@@ -179,13 +179,13 @@ def test_a_training_that_breaks_down_is_told_and_the_search_goes_on(tmp_path, mo
     assert set(table["state"]) == {"complete", "failed"}  # of this seed
     path = written(tmp_path, (FILE + SPACE).replace("low = 1e-5", "low = 1e-2"))
     assert main(["tune", str(path), "--trials", "2", "--output", str(tmp_path / "all")]) == 2
-    assert "error: all 2 trainings broke down: weights that are not finite" in capsys.readouterr().err
+    assert "error: all 2 trainings failed: weights that are not finite" in capsys.readouterr().err
 
     def damaged(*_, **__):
         raise FileError("checkpoint.pt", "cut off")
 
     monkeypatch.setattr(module, "train", damaged)
-    with pytest.raises(FileError, match="cut off"):  # that is no training that broke down
+    with pytest.raises(FileError, match="cut off"):  # not a failed training
         search(tuning_of(tmp_path), 7, tmp_path)
 
 
@@ -263,7 +263,7 @@ BROKEN = {
     "learning.gamma = { low = 0.9 }": "learning.gamma: high: Field required",
     "learning.gamma = { low = 0.9, high = 1.0, step = 2 }": "learning.gamma: step: there is no such field",
     "learning.ent_coef = { low = 0.0, high = 0.1, log = true }": "learning.ent_coef: low = 0.0 is not above 0, as log",
-    "learning.gamma = [0.9]": "learning.gamma: (0.9,) is neither two or more choices",
+    "learning.gamma = [0.9]": "learning.gamma: (0.9,) is neither two or more different choices",
     "learning.gamma = [0.9, 0.9]": "learning.gamma: (0.9, 0.9) is neither",
     "learning.n_epochs = { low = 0.5, high = 2.5 }": f"learning.n_epochs: learning.n_epochs = 0.5 {RANGE} 1 to 1000",
     "learning.momentum = [0.1, 0.2]": "learning.momentum: learning.momentum is not one of ppo's: learning_rate",
@@ -272,9 +272,9 @@ BROKEN = {
     "network.net_arch = [[8], [5000]]": "network.net_arch: net_arch.0: Input should be less than or equal to 4096",
     "network.log_std_init = { low = -30.0, high = 0.0 }": f"network.log_std_init: log_std_init: -30.0 {RANGE} -20 to 5",
     "network.lstm_hidden_size = [8, 16]": "network.lstm_hidden_size: is not one of ppo's: net_arch, log_std_init",
-    "imitation.epochs = [1, 2]": "imitation: is nothing of this file that can be searched; accepted: learning, network",
+    "imitation.epochs = [1, 2]": "imitation: cannot be searched in this file; accepted: learning, network",
     "phases = [1, 2]": "phases: Input should be a valid dictionary (given: (1, 2))",
-    "": " names nothing to search",
+    "": " is empty",
 }
 
 

@@ -26,7 +26,7 @@ AXES: Final = {
 MIN_RMS: Final = 1e-4
 """Lower end of the logarithmic axis [mm]."""
 TIP_LENGTH: Final = 10.0
-"""Part of the probe that is shown, behind the tip [m]."""
+"""Length behind the tip in the drawing [m]."""
 SLOWED: Final = 8.0
 FLOAT_COLUMNS: Final = ("position", "low", "high", "colour")
 PLAY_JS: Final = """
@@ -34,7 +34,7 @@ clearInterval(window.slow_motion);
 let k = 0;
 window.slow_motion = setInterval(() => {
     if (k >= film.data.low.length) { clearInterval(window.slow_motion); return; }
-    shown.data = Object.fromEntries(Object.entries(film.data).map(([name, frames]) => [name, frames[k]]));
+    floats.data = Object.fromEntries(Object.entries(film.data).map(([name, frames]) => [name, frames[k]]));
     k += 1;
 }, period);
 """
@@ -153,7 +153,7 @@ class SlowMotion:
         self.tube, self.film = TubeChart("from the tip [m]", 210), empty_source(FLOAT_COLUMNS)
         self.caption = ui.Text()
         replay = models.Button(label="play again", width=120)
-        arguments = {"film": self.film, "shown": self.tube.floats, "period": FRAME_PERIOD * SLOWED * 1e3}
+        arguments = {"film": self.film, "floats": self.tube.floats, "period": FRAME_PERIOD * SLOWED * 1e3}
         play = models.CustomJS(args=arguments, code=PLAY_JS)
         self.film.js_on_change("data", play)
         replay.js_on_event("button_click", play)
@@ -213,7 +213,7 @@ class FlawChart:
         return plot
 
     def _dragged(self) -> None:
-        if len(self.flaw.data["time"]):  # the tool removes the diamond on backspace: it is drawn again
+        if len(self.flaw.data["time"]):  # the tool removes the diamond on backspace; _draw restores it
             self.before.value = float(np.clip(-self.flaw.data["time"][0], 0.0, 1.0))
         self._draw()
 

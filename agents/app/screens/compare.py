@@ -34,7 +34,7 @@ class CompareScreen(ui.Screen):
         self.layout = ui.column(ui.Text(INTRO), ui.row(self.chosen, self.open), self.problem, self.content)
 
     def refresh(self) -> None:
-        """List the stored runs; a new one is shown."""
+        """List the stored runs and show a new one."""
         names = [run.folder.name for run in reversed(stored_runs(self.session.app.output))]
         if names != self.chosen.options:
             self.chosen.options = names

@@ -22,7 +22,7 @@ from probe_env.envs.pictures.strip import Motion
 from probe_env.fidelity import PRESETS
 
 CHART_PERIOD: Final = 0.4
-"""Least time between two drawings of the charts of a run [s]."""
+"""Shortest time between two updates of the charts of a run [s]."""
 OBSERVATIONS: Final = {
     "inserted_length": ("inserted length", 1.0, "m"),
     "remaining_length": ("remaining length", 1.0, "m"),
@@ -51,7 +51,7 @@ class RunScreen(ui.Screen):
         self.pace = ui.choice(self.paces, pace, lambda: self.send(self.pace_command()))
         self.pause = ui.button("pause", self.toggle, 90)
         self.stop = ui.button("stop", lambda: self.send(Command("stop")), 90)
-        self.drawn_at = -math.inf  # when the charts were drawn last
+        self.drawn_at = -math.inf  # time of the last update of the charts
 
     def send(self, command: Command) -> None:
         """Send a command to the run."""
@@ -59,7 +59,7 @@ class RunScreen(ui.Screen):
             self.session.app.queue.send(self.session.run, command)
 
     def charts_due(self, run: Run) -> bool:
-        """Whether to draw the charts again, which slows the simulation down."""
+        """Whether to update the charts; updates slow the simulation down."""
         now = time.monotonic()
         due = now - self.drawn_at >= CHART_PERIOD or run.state != "running" or run.paused
         self.drawn_at = now if due else self.drawn_at
@@ -71,10 +71,10 @@ class RunScreen(ui.Screen):
 
     def toggle(self) -> None:
         """Pause or continue."""
-        self.send(Command("go" if self.session.run is not None and self.session.run.paused else "pause"))
+        self.send(Command("continue" if self.session.run is not None and self.session.run.paused else "pause"))
 
     def refresh(self) -> None:
-        """Label the button by what it does."""
+        """Update the label of the pause button."""
         self.pause.label = "continue" if self.session.run is not None and self.session.run.paused else "pause"
 
 
@@ -102,7 +102,7 @@ class InsertionScreen(RunScreen):
         self.fidelity = ui.control(models.Select, "fidelity", None, 130, options=list(PRESETS), value="fast")
         start = ui.button("Run", self.guarded(self._start), 90, button_type="primary")
         step = ui.button("step", lambda: self.send(Command("step")), 70)
-        look = ui.button("slow motion", lambda: self.send(Command("look")), 120)
+        look = ui.button("slow motion", lambda: self.send(Command("slow motion")), 120)
         self.watch = ui.control(models.Select, "watch", self._watch, 210, options=[])
         self.table = ui.Text()
         self._listed: Any = None
@@ -124,7 +124,7 @@ class InsertionScreen(RunScreen):
         """Show the state of the run and the list of runs."""
         super().refresh()
         run = self.session.run
-        nothing = "<p class='quiet'>Nothing has been run yet: press <b>Run</b>.</p>"
+        nothing = "<p class='quiet'>No run yet: press <b>Run</b>.</p>"
         self.status.text = nothing if run is None else _status(run)
         self._list_runs()
         if run is None:
@@ -194,7 +194,7 @@ class InsertionScreen(RunScreen):
             self.chosen.update(options=names, value=names[0])
 
     def _resume(self) -> None:
-        """Watch a run of this process that goes on or is finished, resume another one."""
+        """Watch an active or finished run of this process; resume any other run."""
         runs = [run for run in self.session.app.queue.runs if run.request.output.name == self.chosen.value]
         if runs and runs[-1].state in (*ACTIVE, "finished"):
             self._show_run(runs[-1])
@@ -209,7 +209,7 @@ def _last(run: Run, unit: Unit) -> dict[str, float]:
 
 
 def _status(run: Run) -> str:
-    """What is watched and how far the run is, as HTML."""
+    """Watched episode and progress of the run, as HTML."""
     unit, now = run.frame.unit if run.frame else None, ""
     if unit and (last := _last(run, unit)):
         now = (
@@ -224,7 +224,7 @@ def _status(run: Run) -> str:
 
 
 def _observation(observation: dict[str, float], unit: Unit, last: dict[str, float]) -> str:
-    """What a policy observes, and what it requested in the last period, as HTML."""
+    """Observation of a policy and its last request, as HTML."""
     if not last:
         return ""
     rows = (

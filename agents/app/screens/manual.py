@@ -1,4 +1,4 @@
-"""Screen of the manual drive: feed and air by hand, next to a policy in the same tube."""
+"""Screen of the manual drive: feed and air by sliders, next to a policy in the same tube."""
 
 from __future__ import annotations
 
@@ -17,14 +17,13 @@ from agents.policies.catalogue import NAMES
 from agents.records.shipped import shipped_agents
 
 INTRO: Final = (
-    "<h2>Manual drive</h2><p class='quiet'>Feed fast where there is no vibration and slowly where there is, with no"
-    " more air than necessary; the policy drives in the same tube. Arrow keys move the sliders, the space bar"
-    " pauses.</p>"
+    "<h2>Manual drive</h2><p class='quiet'>Feed fast without vibration and slowly with vibration, with no more air than"
+    " necessary. The policy drives in the same tube. Arrow keys move the sliders, the space bar pauses.</p>"
 )
 STATES: Final = {
     "finished": "<p class='big'><b>Finished</b> and stored: see <b>Compare</b>.</p>",
     "stopped": "<p>Stopped.</p>",
-    "waiting": "<p>Waiting for the run before it.</p>",
+    "waiting": "<p>Waiting for the previous run.</p>",
 }
 
 
@@ -58,7 +57,7 @@ class ManualScreen(RunScreen):
 
     def show_tube(self) -> None:
         """Set the sliders to the ranges of another tube."""
-        config = self.session.place(1).config
+        config = self.session.case(1).config
         air = [HOUR * value for value in config.air_supply_rates]
         for slider, (low, high) in ((self.feed, config.feed_speeds), (self.air, air)):
             slider.update(start=round(low, 4), end=round(high, 4))
@@ -91,7 +90,7 @@ class ManualScreen(RunScreen):
         self.send(self._setting())
 
     def _setting(self) -> Command:
-        return Command("hand", (float(self.feed.value), float(self.air.value) / HOUR))
+        return Command("setting", (float(self.feed.value), float(self.air.value) / HOUR))
 
 
 def _score(name: str, trace: dict[str, Any] | None) -> str:

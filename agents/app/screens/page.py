@@ -21,9 +21,9 @@ from agents.app.state import AppState, Session
 TITLES: Final = ("1 Tube", "2 Schedule", "3 Insertion", "4 Compare", "5 Manual")
 FIRST: Final = 1
 TICK: Final = 100
-"""Time between two looks at the queue [ms]."""
+"""Time between two checks of the queue [ms]."""
 PATIENCE: Final = 3.0
-"""Time after which an update counts as painted, though the browser has not confirmed it [s]."""
+"""Time after which an update counts as painted without confirmation of the browser [s]."""
 PAINTED_JS: Final = "requestAnimationFrame(() => setTimeout(() => { painted.value = sent.value; }, 0));"
 """Confirms an update after it is painted."""
 READY_JS: Final = """
@@ -53,7 +53,7 @@ class Page:
     """One browser page, with a new session.
 
     Args:
-        app: what it shares with other pages.
+        app: state shared with other pages.
         tube: tube file, or the name of a shipped one; None: the study's tubes.
     """
 
@@ -66,7 +66,7 @@ class Page:
         self.tube = TubeScreen(session, self._tube_changed)
         self.screens: list[ui.Screen] = [self.tube, self.schedule, self.insertion, self.compare, self.manual]
         self.chosen = ui.choice(TITLES, FIRST, self.turn)
-        self.sent, self.painted = ui.counter(), ui.counter()  # numbers of the last updates
+        self.sent, self.painted = ui.counter(), ui.counter()  # number of the last sent and painted update
         numbers = {"sent": self.sent, "painted": self.painted}
         self.sent.js_on_change("value", models.CustomJS(args=numbers, code=PAINTED_JS))
         self._changes, self._sent_at, self._state = -1, 0.0, ""

@@ -28,9 +28,9 @@ if (!window.points_timer) copy();
 """
 """Sends points while they are dragged, at most every 20 ms; Bokeh sends them only when they are dropped."""
 INTRO: Final = (
-    "<h2>Schedule</h2><p class='quiet'>A cable with floats is blown into a helical tube. Beyond some length it"
-    " vibrates. Choose the feed speed and the air supply: drag the points, tap to add one, or type into the table. The"
-    " lowest chart is the prediction of the vibration map. Run the schedule under <b>Insertion</b>.</p>"
+    "<h2>Schedule</h2><p class='quiet'>Choose feed speed and air so that the probe does not vibrate: drag the points,"
+    " tap to add one, or type into the table. The lowest chart is the prediction of the vibration map. Run the schedule"
+    " under <b>Insertion</b>.</p>"
 )
 
 
@@ -39,7 +39,7 @@ class ScheduleScreen(ui.Screen):
 
     def __init__(self, session: Session) -> None:
         super().__init__(session)
-        self.place = session.place()
+        self.case = session.case()
         self.points = models.ColumnDataSource(dict(session.points), name="points")
         self.moving = models.ColumnDataSource(dict(session.points), name="moving")
         self.band = empty_source(("length", "low", "middle", "high"))
@@ -81,8 +81,8 @@ class ScheduleScreen(ui.Screen):
 
     def show_tube(self) -> None:
         """Show ranges, limit and prediction of another tube."""
-        self.place = self.session.place()
-        config = self.place.config
+        self.case = self.session.case()
+        config = self.case.config
         ranges = (config.feed_speeds, tuple(HOUR * value for value in config.air_supply_rates))
         for plot, key, (low, high) in zip(self.charts, (FEED, AIR), ranges, strict=True):
             plot.y_range.update(start=0.0, end=1.12 * max(high, *self.session.points[key]))
@@ -118,10 +118,10 @@ class ScheduleScreen(ui.Screen):
 
     def _moving(self) -> None:
         if not self._busy:
-            self._predict(schedules.tidied(self.moving.data, self.place.config))
+            self._predict(schedules.sorted_points(self.moving.data, self.case.config))
 
     def _moved(self) -> None:
-        """Points have been moved, added or typed."""
+        """Validate points that were moved, added or typed."""
         if self._busy:
             return
         points = {name: list(self.points.data[name]) for name in NAMES}
@@ -130,7 +130,7 @@ class ScheduleScreen(ui.Screen):
                 order = sorted(range(len(points[LENGTH])), key=lambda k: points[LENGTH][k])
                 ordered = {name: [values[k] for k in order] for name, values in points.items()}
                 schedules.schedule_of(ordered, self.session.interpolation)
-            self.guarded(lambda: self._put(schedules.tidied(points, self.place.config)))()
+            self.guarded(lambda: self._put(schedules.sorted_points(points, self.case.config)))()
         except ValueError as error:
             self._put(self.session.points)
             self.problem.text = ui.alert(error)
@@ -156,7 +156,7 @@ class ScheduleScreen(ui.Screen):
     def _predict(self, points: Points | None = None) -> None:
         try:
             prediction = schedules.predict(
-                schedules.schedule_of(points or self.session.points, self.session.interpolation), self.place
+                schedules.schedule_of(points or self.session.points, self.session.interpolation), self.case
             )
         except ValueError as error:
             self.problem.text = ui.alert(error)
@@ -165,13 +165,13 @@ class ScheduleScreen(ui.Screen):
         self.band.data = {"length": prediction.length, **band}
         self.summary.text = (
             f"<p class='big'>Expected: <b>{prediction.seconds:.0f} s</b>, <b>{100.0 * prediction.within:.0f} %</b>"
-            f" of the length within {limit_of(self.place.config)}, {prediction.air:.1f} m³ of air,"
+            f" of the length within {limit_of(self.case.config)}, {prediction.air:.1f} m³ of air,"
             f" reward <b>{prediction.reward:.1f}</b></p><p class='quiet'>Vibration map, median and 80 % band over"
-            f" {len(self.place.contexts)} tubes; run the schedule for the simulated result.</p>"
+            f" {len(self.case.contexts)} tubes; run the schedule for the simulated result.</p>"
         )
 
     def _show_overlays(self) -> None:
-        lines: dict[str, Line] = {name: schedules.policy_line(name, self.place) for name in self.overlay.value}
+        lines: dict[str, Line] = {name: schedules.policy_line(name, self.case) for name in self.overlay.value}
         if self.log.value.strip():
             lines["log"] = schedules.log_line(Path(self.log.value.strip()))
         numbers = [1 + k % 7 for k in range(len(lines))]
@@ -189,7 +189,7 @@ class ScheduleScreen(ui.Screen):
         if not name:
             return
         if name in schedules.BY_LENGTH:
-            line = schedules.policy_line(name, self.place)
+            line = schedules.policy_line(name, self.case)
             every = max(len(line.length) // 12, 1)
             length, feed, air = (tuple(map(float, values[::every])) for values in line)
             self.session.points = schedules.points_of(Schedule("inserted_length", "linear", length, feed, air))

@@ -22,12 +22,12 @@ TITLES: Final = {"contact": "Walls", "feed": "Feed device"}
 STUDY: Final = "study tubes"
 INTRO: Final = (
     "<h2>Tube and probe</h2><p class='quiet'>An empty field has the value of the study. Runs and predictions"
-    " are of this tube.</p>"
+    " use this tube.</p>"
 )
 
 
 class TubeScreen(ui.Screen):
-    """Tube and probe of a session; calls ``changed`` when they have changed."""
+    """Tube and probe of a session; calls ``changed`` after changes."""
 
     def __init__(self, session: Session, changed: Callable[[], None]) -> None:
         super().__init__(session)
@@ -89,7 +89,7 @@ class TubeScreen(ui.Screen):
         if self._busy:
             return
         try:
-            if field.kind != "choice" or text != field.default or tube.text(field):  # a default is left out
+            if field.kind != "choice" or text != field.default or tube.text(field):  # defaults are not stored
                 tube.change(field, text)
             self.errors[field.path].text = ""
         except ValueError as error:
@@ -130,11 +130,11 @@ class TubeScreen(ui.Screen):
     def _draw(self) -> None:
         tube = self.session.tube
         if tube.is_study:
-            text = "The study's tubes: the shipped test list, on which nothing was tuned."
+            text = "The study's tubes: the shipped test list, which was not used for tuning."
         else:
             source = f"from <code>{escape(str(tube.path))}</code>" if tube.path else "not saved yet"
             changes = ", with unsaved changes" if tube.changed and tube.path else ""
-            text = f"Your own tube, {source}{changes}. Uncertain values are drawn for every tube."
+            text = f"Your tube, {source}{changes}. Uncertain values are sampled for every tube."
         length, diameter = tube.plant.scene.tube.helix_length, tube.plant.scene.tube.helix_diameter
         self.summary.text = f"<p>{text} {length:g} m, {length / (np.pi * diameter):.1f} turns of {diameter:g} m.</p>"
         self._draw_section(tube.plant)

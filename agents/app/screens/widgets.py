@@ -16,7 +16,7 @@ from agents.terminal.refusals import refusal
 
 REPORT_URL: Final = "/report/"
 PALETTE: Final = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#222222", "#8a8a8a")
-"""Colours by Okabe and Ito, which people with any colour vision can tell apart."""
+"""Colour-blind safe palette of Okabe and Ito."""
 BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY, INK, GREY = PALETTE
 DASHES: Final = ("solid", "dashed", "dotdash", "dotted", "dashdot", "solid", "dashed", "dotted")
 PAGE_CSS: Final = """
@@ -92,7 +92,7 @@ class Screen:
         """Show the tube that was opened or changed."""
 
     def tube_changed(self) -> None:
-        """Show the tube, or what is wrong with it."""
+        """Show the tube, or its error."""
         self.guarded(self.show_tube)()
 
     def guarded(self, work: Callable[[], None]) -> Callable[[], None]:
@@ -149,7 +149,7 @@ def choice(labels: Iterable[str], active: int, changed: Callable[[], None]) -> R
 
 
 def row(*children: Any, **styles: str) -> Row:
-    """Children next to each other, or below where there is no room."""
+    """Children next to each other, wrapped on a narrow page."""
     wrapped = {"flex-wrap": "wrap", "align-items": "flex-end", "gap": "2px 8px"} | styles
     return Row(children=_models(children), sizing_mode="stretch_width", styles=wrapped)
 
@@ -182,7 +182,7 @@ def chart(x: str, y: str, height: int = 230, tools: str = "xpan,xwheel_zoom,box_
 
 
 def limit_line(plot: Any) -> Callable[[float | None], None]:
-    """A dashed line at the limit of the radial rms [m]; returns how to move it, and None hides it."""
+    """Add a dashed line at the limit of the radial rms [m]; returns a function that moves it, or hides it for None."""
     line = Span(location=0.0, dimension="width", line_dash="dashed", line_width=1.5, visible=False)
     plot.add_layout(line)
     return lambda limit: line.update(location=1e3 * (limit or 0.0), visible=limit is not None)

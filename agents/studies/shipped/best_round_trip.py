@@ -25,7 +25,7 @@ from agents.policies.cases import EvaluationCase, load_case
 from agents.policies.fixed import STUDY_AIR, Scheduled
 from agents.policies.on_map import FIRST
 from agents.policies.policy import Policy
-from agents.policies.wrappers import BothWays, way_in
+from agents.policies.wrappers import RoundTripPolicy, insertion_task
 from agents.records.atomic import write_atomically
 from agents.records.manifest import origin, write_json
 from agents.studies.builtin import Request, print_frame
@@ -79,13 +79,13 @@ def as_given(config: TaskConfig, numbers: Numbers) -> dict[str, float]:
     return given
 
 
-def policy_of(config: TaskConfig, numbers: Numbers) -> BothWays:
+def policy_of(config: TaskConfig, numbers: Numbers) -> RoundTripPolicy:
     """A schedule of one feed and air each way."""
     ways = [
         Schedule("inserted_length", "linear", (FIRST,), (numbers[columns[FEED]],), (numbers[columns[AIR]] / 3600.0,))
         for columns in (FORTH, BACK)
     ]
-    return BothWays(config, Scheduled(way_in(config), ways[0]), ways[1])
+    return RoundTripPolicy(config, Scheduled(insertion_task(config), ways[0]), ways[1])
 
 
 def csv_of(config: TaskConfig, numbers: Numbers) -> str:
@@ -134,10 +134,10 @@ def run(request: Request) -> Numbers:
 
 
 def _tried(
-    trials: int, space: Space, place: EvaluationCase, played: Path, workers: Workers
+    trials: int, space: Space, case: EvaluationCase, played: Path, workers: Workers
 ) -> tuple[pd.DataFrame, list[str]]:
     """A row a trial: its numbers and what came of it, means over the tubes; and the commits that played them."""
-    config, rows, commits = place.config.full_observation, [], []
+    config, rows, commits = case.config.full_observation, [], []
     optuna.logging.set_verbosity(optuna.logging.ERROR)  # no greenlet: slower, the same
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
@@ -152,7 +152,7 @@ def _tried(
     for number in tqdm(range(trials), desc=NAME, unit="trial"):
         trial = study.ask(drawn)
         numbers = as_given(config, trial.params)
-        plan = _plan({"trial": policy_of(config, numbers)}, place)
+        plan = _plan({"trial": policy_of(config, numbers)}, case)
         table = run_plan(plan, played / f"{number:03d}", progress=False, workers=workers)
         means = {kpi: float(table[kpi].mean()) for kpi in KPIS}
         study.tell(trial, means["reward"])
@@ -161,6 +161,6 @@ def _tried(
     return pd.DataFrame(rows), commits
 
 
-def _plan(policies: Mapping[str, Policy], place: EvaluationCase) -> Plan:
+def _plan(policies: Mapping[str, Policy], case: EvaluationCase) -> Plan:
     fidelity = resolve_fidelity(FIDELITY, both_ways=True)
-    return Plan(policies, place.contexts, config=place.config.full_observation, fidelity=fidelity)
+    return Plan(policies, case.contexts, config=case.config.full_observation, fidelity=fidelity)

@@ -16,7 +16,7 @@ from agents.evaluation.plan import Plan, run_plan
 from agents.evaluation.statistics import paired_difference
 from agents.policies.cases import case_of
 from agents.policies.fixed import FixedPolicy
-from agents.policies.plc_law import Constants, PlcLaw, Trim, TrimmedLaw
+from agents.policies.plc_law import Constants, PlcIntegral, PlcProportional, Trim
 from agents.policies.policy import Policy
 from agents.records.atomic import write_atomically
 from agents.records.manifest import commit, origin, write_json
@@ -92,19 +92,19 @@ def run(request: Request) -> None:
 def search_law(trials: int, generations: int, limit: int, request: Request) -> Constants:
     """The constants of plc-proportional: on the map, then ``generations`` of ``POPULATION`` laws in simulation."""
     vibration, output = stored_map(), request.output
-    whole, place = case_of(None, "train", 0, vibration), case_of(None, "train", limit, vibration)
+    whole, case = case_of(None, "train", 0, vibration), case_of(None, "train", limit, vibration)
     config = whole.config.full_observation
     rows: list[dict[str, Any]] = []
     commits, done = [commit()], 0  # of the laws tried on the map, which are tried anew each time
 
     def by_map(points: FloatArray) -> list[float]:
-        laws = [PlcLaw(config, constants_at(point)) for point in points]
+        laws = [PlcProportional(config, constants_at(point)) for point in points]
         return [float(quasi_steady_rewards(law, whole.contexts, vibration).mean()) for law in laws]
 
     def simulated(points: FloatArray) -> list[float]:
         nonlocal done
-        policies = {f"law-{done + k}": PlcLaw(config, constants_at(point)) for k, point in enumerate(points)}
-        plan = Plan(policies, place.contexts, config=config, fidelity=resolve_fidelity("fast", config.scene))
+        policies = {f"law-{done + k}": PlcProportional(config, constants_at(point)) for k, point in enumerate(points)}
+        plan = Plan(policies, case.contexts, config=config, fidelity=resolve_fidelity("fast", config.scene))
         table = run_plan(plan, output / "episodes" / f"{done:04d}", progress=False, workers=request.workers)
         done += len(points)
         commits.extend(table["commit"])
@@ -130,12 +130,12 @@ def search_law(trials: int, generations: int, limit: int, request: Request) -> C
 
 def search_trim(limit: int, request: Request) -> Trim:
     """The constants of plc-integral: a grid of aims and times, compared with the law without a trim."""
-    place = case_of(None, "train", limit)
-    config = place.config.full_observation
+    case = case_of(None, "train", limit)
+    config = case.config.full_observation
     trims = {f"trim-{k}": Trim(aim=aim, time=time) for k, (aim, time) in enumerate(product(AIMS, TIMES))}
-    policies: dict[str, Policy] = {UNTRIMMED: PlcLaw(config)}
-    policies |= {name: TrimmedLaw(config, trim=trim) for name, trim in trims.items()}
-    plan = Plan(policies, place.contexts, config=config, fidelity=resolve_fidelity("fast", config.scene))
+    policies: dict[str, Policy] = {UNTRIMMED: PlcProportional(config)}
+    policies |= {name: PlcIntegral(config, trim=trim) for name, trim in trims.items()}
+    plan = Plan(policies, case.contexts, config=config, fidelity=resolve_fidelity("fast", config.scene))
     table = run_plan(plan, request.output / "trim-episodes", workers=request.workers)
     rows: list[dict[str, Any]] = []
     for name, trim in trims.items():

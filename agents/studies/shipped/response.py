@@ -161,11 +161,11 @@ def insert(
         window = episodes.window
         assert window is not None
         after = np.minimum(window.inserted_length, config.scene.tube.helix_length)
-        felt = [np.hypot(window.statistics[name], floor) for name, floor in RECORDED.values()]
-        felt[0] = window.statistics["tension_mean_n"]  # which may push
+        measured = [np.hypot(window.statistics[name], floor) for name, floor in RECORDED.values()]
+        measured[0] = window.statistics["tension_mean_n"]  # which may push
         for k in np.flatnonzero(active & ~window.diverged).tolist():
             fed = (after[k] - length[k]) / config.period
-            rows[k].append((time[k], length[k], fed, window.air_supply_rate[k], *(column[k] for column in felt)))
+            rows[k].append((time[k], length[k], fed, window.air_supply_rate[k], *(column[k] for column in measured)))
         length, time = np.where(active, after, length), time + config.period * active
     tables = (np.array(listed, dtype=float).reshape(-1, 4 + len(RECORDED)) for listed in rows)
     return [
@@ -189,7 +189,7 @@ def simulated(group: int) -> dict[str, FloatArray]:
         **tubes,
         "damping_time": np.array([s.damping_time for s in specimens])[row],
         **{name: np.concatenate([getattr(part, name) for part in metres]) for name in ("length", "feed", "air")},
-        **{name: np.concatenate([part.felt[name] for part in metres]) for name in CHANNELS},
+        **{name: np.concatenate([part.measured[name] for part in metres]) for name in CHANNELS},
     }
 
 
