@@ -10,9 +10,10 @@ import numpy as np
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvObs, VecEnvStepReturn
 
 from probe_env.envs.env import InsertionEnv, InspectionEnv, ProbeEnv, SnapshotEnv, check_episode_steps, spaces_of
-from probe_env.envs.episodes.starts import EpisodeSettings, placed
+from probe_env.envs.episodes.starts import DEFAULTS, EpisodeSettings, resolve_settings
 from probe_env.envs.surrogate import make_episodes
 from probe_env.envs.task import TaskConfig
+from probe_env.settings import check_keywords
 
 EnvId = Literal["probe_env/Insertion-v1", "probe_env/Snapshot-v1", "probe_env/Inspection-v0"]
 ENVIRONMENTS: dict[str, type[ProbeEnv]] = {
@@ -54,13 +55,17 @@ class ProbeVecEnv(VecEnv):
         if env_id not in ENVIRONMENTS:
             raise ValueError(f"env_id = {env_id!r} is not one of {', '.join(ENVIRONMENTS)}")
         check_episode_steps(max_episode_steps)
-        self.config, settings = placed(ENVIRONMENTS[env_id].defaults, config, settings)
+        self.config, settings = resolve_settings(ENVIRONMENTS[env_id].defaults, config, settings)
+        check_keywords(type(self).__name__, settings, ("config", *DEFAULTS))
         self.episodes = make_episodes(num_envs, self.config, threads=threads, **settings)
         self.render_mode = None
         super().__init__(num_envs, *spaces_of(self.config))
         self._rngs: dict[int, np.random.Generator] = {}
         self._actions = np.zeros((num_envs, 2), dtype=np.float32)
         self.max_episode_steps, self._steps = max_episode_steps, np.zeros(num_envs, dtype=int)
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__}: {self.episodes!r}>"
 
     @property
     def kernel_seconds(self) -> float:

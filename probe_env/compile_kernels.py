@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import sys
 
-from probe_env.envs.episodes.starts import WAY_BACK
+from probe_env.envs.episodes.starts import WITHDRAWAL_SCENE
 from probe_env.fidelity import ROUND_TRIP_PRESETS
 from probe_env.physics.methods import METHODS
 from probe_env.physics.simulation.batch import SimulatorBatch
@@ -23,7 +23,7 @@ def compile_kernels() -> None:
         Simulator(short, method, method.usual_step).run(1e-3)
         if method.single_share < 1.0:  # then one probe has a kernel of its own
             SimulatorBatch([short] * method.width, method, method.usual_step).advance(duration=1e-3)
-    compressed = Scene.model_validate({"carrier_length": 1.0} | WAY_BACK)
+    compressed = Scene.model_validate({"carrier_length": 1.0} | WITHDRAWAL_SCENE)
     Simulator(compressed, ROUND_TRIP_PRESETS["standard"].method, 1e-4).run(1e-3)
 
 

@@ -16,7 +16,6 @@ import logging
 import math
 import re
 from collections.abc import Mapping, Sequence
-from difflib import get_close_matches
 from functools import lru_cache
 from importlib.resources import files
 from typing import Annotated, Any, Final, NamedTuple, Self
@@ -30,7 +29,7 @@ from probe_env.arrays import FloatArray
 from probe_env.physics.methods import METHODS, ON_NODES, check_step, names_of
 from probe_env.physics.methods.method import Method
 from probe_env.scene import Scene
-from probe_env.settings import Model, one_line_errors, quantity
+from probe_env.settings import Model, closest, one_line_errors, quantity
 
 SURROGATE: Final = "surrogate"
 """Method of the fidelity that predicts vibration from a map instead of a simulation."""
@@ -210,8 +209,7 @@ def _preset_or_settings(fidelity: str | Fidelity | Mapping[str, Any], scene: Sce
     auto = AUTO.fullmatch(fidelity)
     if auto is None:
         known = ", ".join((*PRESETS, "auto", "auto:TOLERANCE"))
-        close = get_close_matches(fidelity, PRESETS, 1)
-        hint = f"; did you mean {close[0]!r}?" if close else ""
+        hint = closest(fidelity, PRESETS)
         raise ValueError(f"fidelity = {fidelity!r} is not one of {known}, nor a mapping of settings{hint}")
     try:
         tolerance = float(auto["tolerance"] or TOLERANCE)

@@ -5,6 +5,7 @@ Models are frozen, have strict types and accept no unknown keys. Errors name fie
 
 from __future__ import annotations
 
+import difflib
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -79,6 +80,14 @@ class Model(BaseModel):
         except (ValueError, OverflowError) as error:
             raise FileError(path, str(error)) from error
 
+    __str__ = BaseModel.__repr__
+
+    def __repr_args__(self) -> Iterator[tuple[str, Any]]:
+        """The fields that differ from their defaults."""
+        for name, field in type(self).model_fields.items():
+            if getattr(self, name) != field.get_default(call_default_factory=True):
+                yield name, getattr(self, name)
+
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
         """Copy with changed fields, validated (unlike in pydantic); mappings update sub-models."""
         fields = {name: getattr(self, name) for name in type(self).model_fields}
@@ -143,7 +152,10 @@ def _no_such_field(title: str, location: tuple[int | str, ...]) -> str:
     for part in location[:-1]:
         inner = model.model_fields[str(part)].annotation if model and part in model.model_fields else None
         model = next((kind for kind in _parts(inner) if isinstance(kind, type) and issubclass(kind, Model)), None)
-    return "there is no such field" + (f"; accepted: {', '.join(model.model_fields)}" if model else "")
+    fields = model.model_fields if model else {}
+    return "there is no such field" + (
+        f"; accepted: {', '.join(fields)}{closest(location[-1], fields)}" if model else ""
+    )
 
 
 def _models(kind: type[Model]) -> Iterator[type[Model]]:
@@ -172,11 +184,18 @@ def within(name: str, value: float, low: float, high: float, unit: str, exclude_
         raise ValueError(f"{name} = {value!r}{unit} is outside the accepted range {low:g}{excluded} to {high:g}{unit}")
 
 
-def check_keywords(function: str, arguments: Iterable[str], accepted: Iterable[str]) -> None:
-    """Raise TypeError, as Python does, for unknown keyword arguments."""
-    unknown = sorted(set(arguments) - set(accepted))
+def closest(name: object, known: Iterable[str]) -> str:
+    """End of an error message: the name among the known ones that was probably meant, or nothing."""
+    similar = difflib.get_close_matches(str(name), known, 1)
+    return f"; the closest: {similar[0]}" if similar else ""
+
+
+def check_keywords(what: str, given: Iterable[str], known: Iterable[str]) -> None:
+    """Raise TypeError, as Python does, where a keyword argument is not one of those that there are."""
+    unknown = sorted(set(given) - set(known))
     if unknown:
-        raise TypeError(f"{function}() has no argument {', '.join(unknown)}; accepted are {', '.join(accepted)}")
+        accepted = f"accepted are {', '.join(known)}{closest(unknown[0], known)}"
+        raise TypeError(f"{what}() has no argument {', '.join(unknown)}; {accepted}")
 
 
 def whole_steps(name: str, value: float | None, time_step: float) -> int:

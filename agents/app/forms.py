@@ -19,13 +19,13 @@ from agents.records.shipped import file_or_shipped, ships
 from agents.terminal.errors import format_error
 from probe_env import Plant
 from probe_env.envs.plants import OF_AIR, OF_FEED, Between, with_posterior
-from probe_env.envs.task import SHOWN, TaskConfig
+from probe_env.envs.task import VISIBLE_FIELDS, TaskConfig
 from probe_env.files import FileError, read_toml
 from probe_env.settings import Model, Range, explain, range_of
 
 Kind = Literal["number", "integer", "figure", "pair", "list", "choice"]
 NOT_IN_FORM: Final = frozenset(
-    {*OF_FEED, *OF_AIR, *SHOWN, "scene", "sensor", "passes", "inspects", "growing", "vibration_measure"}
+    {*OF_FEED, *OF_AIR, *VISIBLE_FIELDS, "scene", "sensor", "passes", "inspects", "growing", "vibration_measure"}
 )
 """Task fields of other tables, and those that change the task as a whole."""
 SIGNS: Final = ("±", "+-")

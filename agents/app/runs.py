@@ -57,7 +57,7 @@ class ManualPolicy:
 
     def __init__(self, config: TaskConfig) -> None:
         self.config = config
-        (feed, air), *_ = config.given(STUDY_FEED, STUDY_AIR)
+        (feed, air), *_ = config.feasible(STUDY_FEED, STUDY_AIR)
         self.feed_speed, self.air_supply_rate = float(feed), float(air)
         self._history: list[tuple[float, float]] = []
 

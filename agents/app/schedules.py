@@ -105,7 +105,7 @@ def predict(schedule: Schedule, case: EvaluationCase) -> Prediction:
     tubes = np.array([[getattr(context, name) for name in CONTEXT] for context in case.contexts])
     length = np.arange(FIRST + 0.5, config.scene.tube.helix_length, 1.0)
     lengths, contexts = np.tile(length, len(tubes)), np.repeat(tubes, len(length), axis=0)
-    feed, air = config.given(*schedule.at(lengths)).T
+    feed, air = config.feasible(*schedule.at(lengths)).T
     mean, deviation = case.vibration.predict(lengths, feed, air, contexts, config.scene)
     cost = expected_cost(mean, deviation, feed, air, config)
     by_tube = mean.reshape(len(tubes), -1)
@@ -146,7 +146,7 @@ def policy_line(spec: str, case: EvaluationCase) -> Line:
     length = np.arange(FIRST, case.config.scene.tube.helix_length + 0.5 * LINE_STEP, LINE_STEP)
     tube = {name: np.full(len(length), value) for name, value in case.contexts[0].model_dump().items()}
     observation = tube | {"time": np.zeros(len(length)), "inserted_length": length}
-    feed, air = case.config.given(*policy.targets(observation, np.zeros((len(length), policy.memory)))).T
+    feed, air = case.config.feasible(*policy.targets(observation, np.zeros((len(length), policy.memory)))).T
     return Line(length, feed, air)
 
 

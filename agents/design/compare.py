@@ -24,7 +24,7 @@ from agents.records.tables import Columns, read_csv
 from agents.terminal.tables import print_table
 from agents.terminal.work import Work, announce
 from probe_env import Design
-from probe_env.envs.trials import check_candidate, check_measure, stretch_of
+from probe_env.envs.trials import check_candidate, check_measure, segment_of
 from probe_env.settings import explain
 
 STORED: Final = "designs.csv"
@@ -60,7 +60,7 @@ def compare(designs: Mapping[str, Design], trials: DesignTrials, output: Path) -
     if not designs:
         raise ValueError("designs = none: give at least one design file (TOML) or the name of a shipped design")
     check_measure(trials.config)
-    stretch_of(trials.config)
+    segment_of(trials.config)
     feed = None if trials.full else trials.schedule()
     if trials.tube != TABLE_2:  # table 2 accepts the whole design space
         name = name_and_spec(trials.feed)[0]

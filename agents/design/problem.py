@@ -16,7 +16,7 @@ from agents.policies.cases import TABLE_2, EvaluationCase
 from agents.policies.on_map import least_air
 from probe_env import Context, Design
 from probe_env.design import RANGES, ranges_in
-from probe_env.envs.trials import check_candidate, check_measure, stretch_of
+from probe_env.envs.trials import check_candidate, check_measure, segment_of
 from probe_env.envs.vibration_map import feeds
 from probe_env.fidelity import resolve_fidelity
 from probe_env.schedule import Schedule
@@ -104,7 +104,7 @@ class DesignProblem(DesignTrials):
             kpis = [row for _, rows in workers.map(partial(self.kpis, point, threads=1), portions) for row in rows]
         kpis.sort(key=lambda row: row["tube"])  # so that sums do not depend on the order of the workers
         slowest, cap = 1.0 / self.config.feed_speeds[0], self.config.ratio_cap**2
-        span = stretch_of(self.config).span
+        span = segment_of(self.config).span
         squares = [(k["mean_square_ratio"] * (span - k["missed_m"]) + cap * k["missed_m"]) / span for k in kpis]
         times = [k["inspection_time_s"] + slowest * k["missed_m"] for k in kpis]
         return float(np.mean(squares)), float(np.mean(times)), min(k["drive_margin_n"] for k in kpis)
@@ -116,7 +116,7 @@ class DesignProblem(DesignTrials):
         design, feed = self._probe(point)
         fit = {k: (design, context) for k, context in tubes if self.can_be_tried(point, context)}
         rows = dict(zip(fit, self.run([*fit.values()], [*fit], threads, feed) if fit else [], strict=True))
-        nothing = {"mean_square_ratio": 0.0, "inspection_time_s": 0.0, "missed_m": stretch_of(self.config).span}
+        nothing = {"mean_square_ratio": 0.0, "inspection_time_s": 0.0, "missed_m": segment_of(self.config).span}
         nothing["drive_margin_n"] = -self.config.required_tension
         return [rows.get(k, nothing) | {"tube": float(k)} for k, _ in tubes]
 
@@ -158,7 +158,7 @@ def design_problem(feed: str, full: bool, case: EvaluationCase, fidelity: str) -
     chosen = resolve_fidelity(fidelity, config.scene)
     problem = DesignProblem(case.contexts, feed, full, chosen, config, case.vibration, case.tube)
     check_measure(config)
-    stretch_of(config)
+    segment_of(config)
     if feed != "best-constant" and not full:
         problem.schedule()
     if not any(problem.can_be_tried(start, context) for start in problem.starts() for context in problem.contexts):

@@ -36,7 +36,7 @@ from agents.terminal.work import Work, announce
 from probe_env import Design
 from probe_env.design import RANGES
 from probe_env.envs.task import TaskConfig, reward_terms
-from probe_env.envs.trials import stretch_of
+from probe_env.envs.trials import segment_of
 from probe_env.settings import within
 
 
@@ -172,7 +172,7 @@ def run_design_search(
 
 def best_of(front: pd.DataFrame, config: TaskConfig) -> Design:
     """The design of the front with the best reward of the task, among those with a positive drive margin."""
-    span = stretch_of(config).span
+    span = segment_of(config).span
 
     def reward(row: dict[str, float]) -> float:  # over the span; the air of a fixed schedule is equal for all designs
         seconds = row["inspection_time_s"]

@@ -21,7 +21,7 @@ from agents.records.models import Stored, read_json
 from agents.records.searches import JOURNAL
 from probe_env import Context, Design, Fidelity
 from probe_env.envs.task import TaskConfig
-from probe_env.envs.trials import Candidate, judge, try_insertions, try_sections
+from probe_env.envs.trials import Candidate, score_designs, try_insertions, try_sections
 from probe_env.envs.vibration_map import VibrationMap
 from probe_env.schedule import Schedule
 
@@ -110,7 +110,7 @@ class DesignTrials:
         ]
         simulate = try_insertions if self.full else try_sections
         trial = simulate(candidates, self.config, self.fidelity, threads=threads)
-        terms, kpis = judge([design for design, _ in pairs], trial, self.config)
+        terms, kpis = score_designs([design for design, _ in pairs], trial, self.config)
         rewards = np.sum(list(terms.values()), axis=0)
         return [
             {"reward": float(rewards[k])} | {name: float(values[k]) for name, values in kpis.items()}

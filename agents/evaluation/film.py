@@ -21,7 +21,7 @@ from probe_env.arrays import FloatArray
 from probe_env.envs.episodes import Episodes
 from probe_env.envs.pictures.strip import FRAME_PERIOD, SLOWED, Motion, Strip, Watch
 from probe_env.envs.pictures.strip import FRAMES_PER_SECOND as SLOW_FRAMES_PER_SECOND
-from probe_env.envs.task import SHOWN
+from probe_env.envs.task import VISIBLE_FIELDS
 from probe_env.physics.simulation.signals import SAMPLE_PERIOD, dominant_frequencies
 from probe_env.settings import whole_steps, within
 
@@ -44,7 +44,7 @@ class _Episode:
 
     def __init__(self, env_id: str, policy: str, **arguments: Any) -> None:
         assert probe_env.__all__  # the import registers the ids
-        self.env: Any = gym.make(env_id, config=dict.fromkeys(SHOWN, True), **arguments)
+        self.env: Any = gym.make(env_id, config=dict.fromkeys(VISIBLE_FIELDS, True), **arguments)
         self.episodes: Episodes = self.env.get_wrapper_attr("episodes")
         self.episodes.allow_standstill = True  # as in an evaluation
         self._policy = make_policy(policy, self.episodes.config, classes=True)

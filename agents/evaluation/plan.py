@@ -33,10 +33,11 @@ from probe_env.design import RANGES
 from probe_env.envs.episodes import Step
 from probe_env.envs.episodes.starts import Probes
 from probe_env.envs.surrogate import make_episodes
-from probe_env.envs.task import SHOWN, TaskConfig, describe
-from probe_env.envs.trials import Players
+from probe_env.envs.task import VISIBLE_FIELDS, TaskConfig, describe
+from probe_env.envs.trials import PolicyBatch
 from probe_env.envs.vibration_map import VibrationMap
 from probe_env.files import FileError
+from probe_env.inspection.metrics import with_pod_columns
 
 BATCH: Final = 16
 """Number of episodes in a batch."""
@@ -177,7 +178,7 @@ def stored_episodes(plan: Plan, output: Path) -> dict[str, dict[str, Any]]:
 def _shared(setting: Setting) -> dict[str, Any]:
     """Settings that must agree between episodes; the visible observations may differ."""
     shared = ("fidelity", "probes", "version", "commit")
-    return setting.task.model_dump(exclude=set(SHOWN)) | {name: getattr(setting, name) for name in shared}
+    return setting.task.model_dump(exclude=set(VISIBLE_FIELDS)) | {name: getattr(setting, name) for name in shared}
 
 
 def _lines(plan: Plan, missing: deque[Unit], batch: int, threads: int | None, workers: Workers) -> Iterator[str]:
@@ -249,7 +250,7 @@ class RolloutRunner:
         self.last: Step | None = None
         self.active: BoolArray = np.zeros(count, dtype=bool)
         self._probes: dict[int, dict[str, float]] = {}
-        self._players = Players(count)
+        self._players = PolicyBatch(count)
         self._observation: npt.NDArray[np.float32] = self.episodes.observation.copy()
 
     @property
@@ -292,7 +293,8 @@ class RolloutRunner:
             if "episode_kpis" in info:
                 unit, metres = self.unit(k), per_metre(self.profile[k])
                 profile = {name: [float(f"{v:.5g}") for v in values] for name, values in metres.items()}
-                record = {"key": self.plan.key(unit), "unit": unit, "commit": commit(), "kpis": info["episode_kpis"]}
+                kpis = with_pod_columns(info["episode_kpis"])
+                record = {"key": self.plan.key(unit), "unit": unit, "commit": commit(), "kpis": kpis}
                 probe = {"probe": self._probes[k]} if k in self._probes else {}
                 yield json.dumps(record | {"profile": profile} | probe) + "\n"
 

@@ -28,7 +28,7 @@ from probe_env import Context, Fidelity
 from probe_env.arrays import FloatArray
 from probe_env.envs.episodes import Episodes
 from probe_env.envs.task import END_TOLERANCE, TaskConfig
-from probe_env.envs.trials import periods_of
+from probe_env.envs.trials import rollout
 from probe_env.fidelity import resolve_fidelity
 from probe_env.inspection.channels import (
     Flaw,
@@ -42,6 +42,7 @@ from probe_env.inspection.channels import (
     support_signal,
 )
 from probe_env.inspection.detection import snr_at
+from probe_env.inspection.metrics import with_pod_columns
 from probe_env.inspection.sensor import GROOVE, Sensor
 from probe_env.inspection.snr import SPAN, SnrEstimator
 from probe_env.physics.simulation.signals import SAMPLE_PERIOD
@@ -202,7 +203,7 @@ def insert(
     guide = episodes.batch.simulators[0].scene.probe.guide_length
     positions, periods, radial = [started[0]["inserted_length"] - guide], list[dict[str, Any]](), []
     with tqdm(desc="sensor at", initial=positions[0], unit="m", bar_format="{desc} {n:.1f} {unit} [{elapsed}]") as bar:
-        for step, _ in periods_of(episodes, [policy], observation):
+        for step, _ in rollout(episodes, [policy], observation):
             info = step.infos[0]
             if info["diverged"]:
                 raise RuntimeError(f"the simulation diverged at {info['inserted_length']:.4g} m; nothing was written")
@@ -226,7 +227,7 @@ def insert(
         spectrum=centred_spectra(config.sensor, motion, feed),
         segment=FILTER_SAMPLES,
     )
-    return Insertion(recording, tuple(periods), metrics.detection.kpis(metrics.inspected, length))
+    return Insertion(recording, tuple(periods), with_pod_columns(metrics.detection.kpis(metrics.inspected, length)))
 
 
 def centred_spectra(sensor: Sensor, radial: FloatArray, feed: FloatArray) -> FloatArray:

@@ -281,7 +281,7 @@ def safe_air(config: TaskConfig, tubes: Sequence[Context], feeds: tuple[float, f
     least, most = (3600.0 * air for air in config.air_supply_rates)
     whole = np.append(np.arange(math.ceil(least), most), (least, most)) / 3600.0
     # bounds in steps of the device, so that no air between them is rounded to a value outside
-    airs = np.unique(np.round(3600.0 * config.given(np.full_like(whole, fastest), whole)[:, 1], 9))
+    airs = np.unique(np.round(3600.0 * config.feasible(np.full_like(whole, fastest), whole)[:, 1], 9))
     pulls, enough = least_root_tension(config, tubes, airs, fastest), MARGIN * config.required_tension
     if not (pulls >= enough).any():
         problem = f"air_supply_rates up to {most:.4g} m3/h: the most air pulls with only {pulls.max():.3g} N"

@@ -10,7 +10,7 @@ from agents.records.shipped import file_or_shipped
 from agents.terminal.names import checked_name, name_of
 from probe_env import Context, Design, Plant
 from probe_env.envs.contexts import SPLIT_SIZES, Split, spread_contexts
-from probe_env.envs.plants import map_beside
+from probe_env.envs.plants import map_file
 from probe_env.envs.task import TaskConfig
 from probe_env.envs.vibration_map import VibrationMap, load_for, stored_map
 from probe_env.scene import whole_pitches
@@ -81,9 +81,9 @@ def map_of(tube: Path | None, plant: Plant | None) -> VibrationMap:
     if tube is None or plant is None:
         return stored_map()
     try:
-        path = map_beside(file_or_shipped("tubes", tube))
+        path = map_file(file_or_shipped("tubes", tube))
     except FileNotFoundError:  # a file that is not written yet may have its map already
-        path = map_beside(tube)
+        path = map_file(tube)
     return load_for(path, tube.name, plant.scene) if path.exists() else stored_map()
 
 

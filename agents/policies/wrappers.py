@@ -126,7 +126,7 @@ class Shielded(_Wrapper):
 
 def fastest_withdrawal(config: TaskConfig) -> Schedule:
     """The fastest withdrawal of the feed device, with the air of the study or the nearest possible."""
-    feed, air = config.given(config.feed_speeds[1], STUDY_AIR)[0]
+    feed, air = config.feasible(config.feed_speeds[1], STUDY_AIR)[0]
     return Schedule("inserted_length", "linear", (0.0,), (float(feed),), (float(air),))
 
 

@@ -20,7 +20,7 @@ from agents.policies.policy import Policy
 from agents.policies.view import View, guide_of
 from agents.vec_env import ENVIRONMENTS, EnvId
 from probe_env.envs.contexts import Context, Split
-from probe_env.envs.episodes.starts import RANDOM_TUBES, Contexts, NamedContexts, Probes, placed
+from probe_env.envs.episodes.starts import RANDOM_TUBES, Contexts, NamedContexts, Probes, resolve_settings
 from probe_env.envs.plants import Plant, plant_of
 from probe_env.envs.task import TaskConfig
 from probe_env.envs.vibration_map import VibrationMap
@@ -156,7 +156,7 @@ class Training(Model):
     def task(self) -> TaskConfig:
         """Task of the training."""
         defaults = ENVIRONMENTS[self.environment.env_id].defaults
-        return placed(defaults, self.environment.task, {"tube": self.environment.tube})[0]
+        return resolve_settings(defaults, self.environment.task, {"tube": self.environment.tube})[0]
 
     @property
     def trained_in(self) -> Contexts:

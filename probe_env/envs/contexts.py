@@ -1,9 +1,8 @@
-"""What a controller is not told: friction, contact stiffness and drag of a tube, and its helix diameter.
+"""Contexts: friction, contact stiffness, drag and helix diameter of a tube. Controllers observe the diameter only.
 
-The study names no list of helix diameters; six from 1.0 to 2.5 m stand for the tubes of one heat exchanger.
-Fixed lists of contexts for training, validation and test ship in ``data/contexts.csv``, in an order of which every
-prefix is balanced over helix diameters and spread over friction: the first few of a list represent all of it. The
-script that made the file is in the history, at commit 8c1cf8d.
+The study names no list of helix diameters; six from 1.0 to 2.5 m represent the tubes of one heat exchanger. Fixed lists
+of contexts for training, validation and test ship in ``data/contexts.csv``. Every prefix of a list is balanced over
+helix diameters and spread over friction. The script that made the file is in the history, at commit 8c1cf8d.
 """
 
 from __future__ import annotations
@@ -33,7 +32,7 @@ FILE_HASH: Final = "909d5a5f69dcc121"
 
 
 class Context(Model):
-    """One tube with one probe in it: what differs between episodes."""
+    """Properties of one tube that differ between episodes."""
 
     friction: Annotated[float, quantity(0.0, 1.0, "")] = 0.15
     contact_stiffness: Annotated[float, quantity(1e2, 1e8, "N/m")] = 1e5
@@ -52,7 +51,7 @@ class Context(Model):
 
 
 class Ranges(Model):
-    """What random contexts are drawn from: a number, a range (low, high), or three and more to choose of."""
+    """Distribution of random contexts: a number, a range (low, high), or a list of three or more values."""
 
     friction: Values = FRICTION
     contact_stiffness: Values = STIFFNESS
@@ -74,27 +73,27 @@ class Ranges(Model):
 
     @property
     def stiffest(self) -> float:
-        """The largest contact stiffness that may be drawn [N/m]."""
+        """Largest contact stiffness in the ranges [N/m]."""
         return max(_values(self.contact_stiffness))
 
 
-def _values(given: Values) -> tuple[float, ...]:
-    return given if isinstance(given, tuple) else (given,)
+def _values(values: Values) -> tuple[float, ...]:
+    return values if isinstance(values, tuple) else (values,)
 
 
 def draw_context(
     rng: np.random.Generator, fixed: dict[str, Any] | None = None, ranges: Ranges | None = None
 ) -> Context:
-    """A random context; ``fixed`` sets fields by name, and drawing goes on alike whatever is fixed.
+    """A random context; ``fixed`` sets fields by name and does not change the random numbers of the others.
 
     Raises:
         ValueError: an unknown field or a value out of range (pydantic's ValidationError).
     """
-    ranges, drawn = ranges or Ranges(), {}
+    ranges, sample = ranges or Ranges(), {}
     for name in Context.model_fields:
         values = _values(getattr(ranges, name))
-        drawn[name] = float(rng.choice(values) if len(values) > 2 else rng.uniform(values[0], values[-1]))
-    return Context.model_validate(drawn | (fixed or {}))
+        sample[name] = float(rng.choice(values) if len(values) > 2 else rng.uniform(values[0], values[-1]))
+    return Context.model_validate(sample | (fixed or {}))
 
 
 @lru_cache
@@ -108,7 +107,7 @@ def load_contexts(split: Split) -> tuple[Context, ...]:
         raise ValueError(f"split = {split!r} is not one of {', '.join(get_args(Split))}")
     text = FILE.read_text()
     if hashlib.sha256(text.encode()).hexdigest()[:16] != FILE_HASH:
-        raise ValueError(f"{FILE.name} was changed, so results would not compare; its hash must be {FILE_HASH}")
+        raise ValueError(f"{FILE.name} was changed: results would not be comparable; its hash must be {FILE_HASH}")
     names = tuple(Context.model_fields)
     return tuple(
         Context.model_validate({name: float(row[name]) for name in names})
@@ -118,13 +117,10 @@ def load_contexts(split: Split) -> tuple[Context, ...]:
 
 
 def spread_contexts(split: Split, limit: int = 0) -> tuple[Context, ...]:
-    """The first so many contexts of a shipped list; 0: all.
-
-    Helix diameters are as often in it as they can be, and friction, stiffness and drag are spread as in the whole
-    list. A context has the same place, which seeds its start, whatever the limit.
+    """The first ``limit`` contexts of a shipped list; 0: all. The index of a context does not depend on the limit.
 
     Raises:
-        ValueError: no such split, or more than there are.
+        ValueError: no such split, or the limit exceeds its length.
     """
     listed = load_contexts(split)
     if not 0 <= limit <= len(listed):

@@ -1,4 +1,4 @@
-"""Design-v1: the action is the probe."""
+"""Design-v1: the action is the design of a probe."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from probe_env.envs.episodes.starts import (
     DEFAULTS,
     EpisodeSampler,
     EpisodeSettings,
-    PlaceSettings,
-    drawn_context,
-    placed,
+    SceneSettings,
+    resolve_settings,
     restored_on_error,
+    sample_context,
     settling,
 )
 from probe_env.envs.task import TaskConfig, action_of, share_of
@@ -28,8 +28,8 @@ from probe_env.envs.trials import (
     Candidate,
     Controller,
     check_candidate,
-    judge,
-    stretch_of,
+    score_designs,
+    segment_of,
     try_insertions,
     try_sections,
 )
@@ -42,14 +42,14 @@ STUDY_FEED = Schedule("inserted_length", "linear", (5.0,), (0.2,), (63.0 / 3600.
 
 
 class DesignEnv(gym.Env[Observation, Observation]):
-    """Build a probe and see how loud, slow and hard to drive it is: one step an episode.
+    """Design a probe and score it in one tube: one step per episode.
 
     ## Description
-    The action names a probe within what can be bought; the step builds it and tries it in one tube under a given feed:
-    in sections of constant length (in the study's 60 m of helix five, the sensor 10, 20, ... 50 m from the entrance;
-    1 s to settle, in which the air comes up, 2 s measured), or in a whole insertion with `full=True`. All probes are
-    compared over the same tube, from 2.5 m to where the sensor gets with the longest guide, 10 m before the end of the
-    helix: 47.5 m of 60 m.
+    The action is a probe design. The step builds the probe and simulates it in one tube under a fixed feed, either in
+    sections of constant length or, with `full=True`, in a whole insertion. In the study's helix of 60 m there are five
+    sections, with the sensor 10, 20, ... 50 m from the entrance; each settles for 1 s and is measured for 2 s. All
+    probes are compared over the same segment of tube, from 2.5 m to 10 m before the end of the helix, which the sensor
+    reaches with the longest guide: 47.5 m of 60 m.
 
     ## Action Space
     `Box(-1, 1, (7,), float32)`, mapped linearly:
@@ -64,33 +64,33 @@ class DesignEnv(gym.Env[Observation, Observation]):
     | 5 | flexural rigidity | 0.025 | 0.1 | N m2 |
     | 6 | line density | 0.09 | 0.14 | kg/m |
 
-    `action_of` gives the action of a `Design`. Floats that do not fit the bore of a `tube` or `scene` with 1 mm of
-    clearance are built as large as fits, which `info["design"]` says. 10 m and 20 mm are the study's limits (handling,
-    weld projections), the other ranges are assumptions.
+    `action_of` converts a `Design` to an action. Floats that do not fit the bore with 1 mm of clearance are built as
+    large as fits; `info["design"]` is the probe as built. 10 m and 20 mm are the study's limits (handling, weld
+    projections); the other ranges are assumptions.
 
     ## Observation Space
     `Box(0, 4000, (1,), float32)`: helix diameter / 2.5 m. `config={"privileged": True}` adds friction / 0.25, contact
-    stiffness / 1e5 N/m and drag over table 2's.
+    stiffness / 1e5 N/m and drag relative to table 2.
 
     ## Rewards
-    The sum of `info["reward_terms"]`, with the weights of `Insertion-v1`: progress (1 per metre that the sensor gets to
-    see: a long guide inspects less), vibration, time and air over the shared tube, uninspected (per metre of these
-    behind a place where the probe loses its drive or diverges), diverged (-10).
+    The sum of `info["reward_terms"]`, with the weights of `Insertion-v1`: progress (1 per metre that the sensor
+    inspects: a long guide inspects less), vibration, time and air over the shared segment, uninspected (per metre of
+    the segment after the probe loses its drive or diverges), diverged (-10).
 
     ## Starting State
-    A context is drawn as in `Insertion-v1`; `options` of `reset` fix fields of it, or give a whole "context".
+    A context is sampled as in `Insertion-v1`; `options` of `reset` set some of its fields, or the whole "context".
 
     ## Episode End
     Terminated after one step. `info` then has `design` (as built), `kpis` (radial rms, share within the limit,
-    inspection time, air, inspected length, drive margin: least mean root tension less the required one, ...). Of whole
-    insertions also what would be found: a50 and a90, length with a signal-to-noise over 3, noise peak to peak.
+    inspection time, air, inspected length, drive margin: least mean root tension minus the required tension, ...).
+    Whole insertions add a50 and a90, length with a signal-to-noise over 3, and noise peak to peak.
 
     ## Arguments
     * `config`, `scene`, `contexts`, `tube`: as for `Insertion-v1`.
-    * `fidelity`: preset or settings; time-lapse counts for whole insertions only. Default "standard".
-    * `feed`: `Schedule` over inserted length; default the study's 0.2 m/s and 63 m3/h, or the nearest that the task
-      gives. For whole insertions also a policy with SB3's `predict`.
-    * `full`: whole insertions, some 5 s each, instead of sections.
+    * `fidelity`: preset or settings; time-lapse applies to whole insertions only. Default "standard".
+    * `feed`: `Schedule` over inserted length; default the study's 0.2 m/s and 63 m3/h, or the nearest values in
+      the task's range. For whole insertions also a policy with SB3's `predict`.
+    * `full`: whole insertions instead of sections; each takes about 5 s.
     """
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": []}  # type: ignore[misc]
@@ -103,44 +103,47 @@ class DesignEnv(gym.Env[Observation, Observation]):
         feed: Schedule | Controller | None = None,
         full: bool = False,
         render_mode: str | None = None,
-        **settings: Unpack[PlaceSettings],
+        **settings: Unpack[SceneSettings],
     ) -> None:
-        check_keywords(type(self).__name__, settings, PlaceSettings.__annotations__)
+        check_keywords("gym.make", settings, ("config", "feed", "full", *SceneSettings.__annotations__))
         if render_mode is not None:
-            raise ValueError(f"render_mode = {render_mode!r}: a design is not rendered; see Insertion-v1 with options")
-        self.config, left = placed({}, config, cast(EpisodeSettings, settings))
-        self.contexts = left.get("contexts", DEFAULTS["contexts"])
-        stretch_of(self.config)  # refuses a helix that is too short
-        # an insertion settles like that of Insertion-v1; the probes are those that the action may build
+            raise ValueError(f"render_mode = {render_mode!r}: Design-v1 is not rendered; use Insertion-v1 with options")
+        self.config, remaining = resolve_settings({}, config, cast(EpisodeSettings, settings))
+        self.contexts = remaining.get("contexts", DEFAULTS["contexts"])
+        segment_of(self.config)  # raises for a helix that is too short
+        # an insertion starts like that of Insertion-v1; the action, not the sampler, builds the probe
         self.sampler = EpisodeSampler(self.config, self.contexts, "random", *settling(self.config, {}))
-        self.fidelity = resolve_fidelity(left.get("fidelity", DEFAULTS["fidelity"]), self.sampler.stiffest, full)
+        self.fidelity = resolve_fidelity(remaining.get("fidelity", DEFAULTS["fidelity"]), self.sampler.stiffest, full)
         if not self.fidelity.simulates:
-            raise ValueError("fidelity = 'surrogate' is for Insertion-v1 alone: designs are simulated, give standard")
+            raise ValueError("fidelity = 'surrogate' is for Insertion-v1 only: designs are simulated, use standard")
         self.feed, self.full, self.render_mode = feed or STUDY_FEED, full, render_mode
         if not full and not isinstance(self.feed, Schedule):
             raise ValueError("feed: sections of constant length need a Schedule; a policy needs full = True")
-        shown = {"helix_diameter": OBSERVATIONS["helix_diameter"]} | (PRIVILEGED if self.config.privileged else {})
-        low, high = np.array([bounds[:2] for bounds in shown.values()], dtype=np.float32).T
+        visible = {"helix_diameter": OBSERVATIONS["helix_diameter"]} | (PRIVILEGED if self.config.privileged else {})
+        low, high = np.array([bounds[:2] for bounds in visible.values()], dtype=np.float32).T
         self.observation_space = gym.spaces.Box(low, high, dtype=np.float32)
         self.action_space = gym.spaces.Box(-1.0, 1.0, (len(RANGES),), dtype=np.float32)
         self.context: Context | None = None
 
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__}: {self.config!r}, {self.fidelity!r}, full={self.full}>"
+
     @property
     def scene(self) -> Scene:
-        """What designs and contexts change."""
+        """Base scene, before design and context are applied."""
         return self.config.scene
 
     @staticmethod
     def action_of(design: Design) -> Observation:
-        """(7,) the action that builds a design."""
+        """(7,) action of a design."""
         return action_of(design.to_unit()).astype(np.float32)
 
     @staticmethod
     def design_of(action: Observation) -> Design:
-        """The design of an action (7,) in [-1, 1], not yet rounded to what is built.
+        """Design of an action (7,) in [-1, 1], before rounding to pitches.
 
         Raises:
-            ValueError: of another shape, not finite or out of range.
+            ValueError: wrong shape, not finite or out of range.
         """
         values = np.asarray(action, dtype=float)
         if values.shape != (len(RANGES),) or not (np.abs(values) <= 1.0 + 1e-6).all():
@@ -151,23 +154,23 @@ class DesignEnv(gym.Env[Observation, Observation]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Draw a tube.
+        """Sample a tube.
 
         Raises:
-            ValueError: an option is not known or not valid, or there is a design that this fidelity or the model cannot
-                simulate in such a tube, see ``episodes.limits``.
+            ValueError: an option is unknown or not valid, or the fidelity or the model cannot simulate every design in
+                this tube, see ``episodes.limits``.
         """
         super().reset(seed=seed)
         sections = None if self.full else cast(Schedule, self.feed)
         with restored_on_error([self.np_random]):
-            context = drawn_context(self.contexts, self.np_random, dict(options or {}))
-            for design in HARDEST:  # then all of the design space, cut to the bore, can be tried
+            context = sample_context(self.contexts, self.np_random, dict(options or {}))
+            for design in HARDEST:  # then the whole design space, cut to the bore, is accepted
                 check_candidate(design.cut_to(self.scene), context, self.config, self.fidelity, sections)
         self.context = context
         return self._observation(), {"context": self.context.model_dump()}
 
     def step(self, action: Observation) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Build and try the probe; the episode ends.
+        """Build and simulate the probe; the episode ends.
 
         Raises:
             ValueError: the action is not valid.
@@ -182,7 +185,7 @@ class DesignEnv(gym.Env[Observation, Observation]):
             trial = try_insertions([candidate], self.config, self.fidelity, threads=1)
         else:
             trial = try_sections([candidate], self.config, self.fidelity)
-        terms, kpis = judge([design], trial, self.config)
+        terms, kpis = score_designs([design], trial, self.config)
         info = {
             "design": design.built.model_dump(),
             "context": self.context.model_dump(),
@@ -209,7 +212,7 @@ class _Follow:
     def predict(
         self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
     ) -> tuple[Any, Any]:
-        """What the schedule says."""
+        """Action of the schedule at the observed length."""
         lengths = np.atleast_2d(observation)[:, self.column] * UNITS["inserted_length"]
         pairs = [self.schedule.at(length) for length in lengths]
         return np.array([self.config.actions(feed, air)[0] for feed, air in pairs], dtype=np.float32), ()

@@ -1,4 +1,4 @@
-"""The Gymnasium environments: glue around ``Episodes`` with one probe, or with N in one batch for ``make_vec``."""
+"""Gymnasium environments: wrappers of ``Episodes`` with one probe, or with N in one batch for ``make_vec``."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
 from probe_env.arrays import FloatArray
-from probe_env.envs.episodes.starts import DEFAULTS, EpisodeSettings, placed
+from probe_env.envs.episodes.starts import DEFAULTS, EpisodeSettings, resolve_settings
 from probe_env.envs.surrogate import make_episodes
 from probe_env.envs.task import TaskConfig
 from probe_env.fidelity import is_surrogate
-from probe_env.settings import one_line_errors
+from probe_env.settings import check_keywords, one_line_errors
 
 if TYPE_CHECKING:
     from probe_env.envs.pictures.episode import Renderer
@@ -32,13 +32,13 @@ def spaces_of(config: TaskConfig) -> tuple[gym.spaces.Box, gym.spaces.Box]:
 
 
 def check_episode_steps(steps: int | None) -> None:
-    """Raise ValueError if an episode could never take its first step."""
+    """Raise ValueError unless the limit is at least one step."""
     if steps is not None and steps < 1:
         raise ValueError(f"max_episode_steps = {steps!r} is outside the accepted range 1 and more")
 
 
 class ProbeEnv(gym.Env[Observation, Observation]):
-    """Base of the environments with one probe, see ``InsertionEnv`` for the arguments."""
+    """Base class of the environments with one probe; see ``InsertionEnv`` for the arguments."""
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": list(RENDER_MODES), "render_fps": 10}  # type: ignore[misc]
     defaults: ClassVar[dict[str, Any]] = {}
@@ -54,12 +54,16 @@ class ProbeEnv(gym.Env[Observation, Observation]):
         if render_mode is not None and render_mode not in RENDER_MODES:
             raise ValueError(f"render_mode = {render_mode!r} is not one of {', '.join(RENDER_MODES)}")
         if render_mode is not None and is_surrogate(settings.get("fidelity", DEFAULTS["fidelity"])):
-            raise ValueError(f"render_mode = {render_mode!r}: fidelity 'surrogate' simulates no motion to draw")
-        self.config, settings = placed(self.defaults, config, settings)
+            raise ValueError(f"render_mode = {render_mode!r}: fidelity 'surrogate' simulates no motion to render")
+        self.config, settings = resolve_settings(self.defaults, config, settings)
+        check_keywords("gym.make", settings, ("config", *DEFAULTS))
         self.episodes = make_episodes(1, self.config, threads=1, **settings)
         self.observation_space, self.action_space = spaces_of(self.config)  # type: ignore[assignment]
         self.render_mode = render_mode
         self._renderer: Renderer | None = None
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__}: {self.episodes!r}>"
 
     @one_line_errors()
     def reset(
@@ -69,7 +73,7 @@ class ProbeEnv(gym.Env[Observation, Observation]):
         super().reset(seed=seed)
         observation, infos = self.episodes.reset([0], {0: self.np_random}, {0: options})
         if self.render_mode is not None:
-            from probe_env.envs.pictures.episode import Renderer  # and with it matplotlib
+            from probe_env.envs.pictures.episode import Renderer  # imports matplotlib
 
             self._renderer = self._renderer or Renderer(self.episodes)
             self._renderer.begin(infos[0])
@@ -78,7 +82,7 @@ class ProbeEnv(gym.Env[Observation, Observation]):
         return observation[0], infos[0]
 
     def step(self, action: Observation) -> tuple[Observation, SupportsFloat, bool, bool, dict[str, Any]]:
-        """One control period with a target of feed speed and air supply."""
+        """Advance one control period towards a target feed speed and air supply."""
         step = self.episodes.step(np.asarray(action)[None])
         reward = float(step.reward[0])
         if self._renderer is not None:
@@ -88,7 +92,7 @@ class ProbeEnv(gym.Env[Observation, Observation]):
         return step.observation[0], reward, bool(step.terminated[0]), bool(step.truncated[0]), step.infos[0]
 
     def render(self) -> npt.NDArray[np.uint8] | None:
-        """An RGB picture (h, w, 3) of the present period; with "human" it is shown in a window instead."""
+        """RGB picture (h, w, 3) of the current period; with "human" it is shown in a window and None is returned."""
         if self.render_mode is None:
             gym.logger.warn("render was called without a render_mode: give render_mode='rgb_array' or 'human'")
             return None
@@ -107,13 +111,13 @@ class ProbeEnv(gym.Env[Observation, Observation]):
 
 
 class InsertionEnv(ProbeEnv):
-    """Feed a probe into the helix: fast while it is free, slowly where it rings.
+    """Feed a probe into a helical tube, fast while it is quiet and slowly where it vibrates.
 
     ## Description
-    A cable with floats is fed into a helical tube, pulled by an air stream and held back by the feed. Above some
-    inserted length it rings and buries the signal in noise. How soon depends on friction and drag, which the
-    controller is not told. One episode feeds the probe from 5 m (or its guide length + 2.5 m) to the end of the
-    helix at 60 m.
+    A cable with floats is fed into a helical tube. An air stream pulls it and the feed device holds it back. Beyond
+    some inserted length the probe vibrates and its signal becomes noisy. That length depends on friction and drag,
+    which are not observed. One episode feeds the probe from 5 m (or its guide length + 2.5 m) to the end of the helix
+    at 60 m.
 
     ## Action Space
     `Box(-1, 1, (2,), float32)`, mapped linearly:
@@ -124,7 +128,7 @@ class InsertionEnv(ProbeEnv):
     | 1 | target air supply; follows with a lag of 1 s | 30 | 130 | m3/h |
 
     ## Observation Space
-    A `Box` of float32; names, bounds and meaning in `probe_env.envs.task.scales.OBSERVATIONS`:
+    `Box` of float32; names, bounds and meaning are in `probe_env.envs.task.scales.OBSERVATIONS`:
 
     | Num | Observation | Scale |
     |---|---|---|
@@ -136,65 +140,65 @@ class InsertionEnv(ProbeEnv):
     | 8, 9 | previous action | - |
     | 10 | helix diameter | 2.5 m |
 
-    Friction and contact stiffness are not observed. `config={"observe_root_tension": False}` leaves out 7,
-    `{"privileged": True}` adds friction, contact stiffness and drag; `{"observe_probe": True}` the seven figures of the
-    probe that was built (`probe_env.envs.task.scales.PROBE`), for one controller of many probes.
+    `config={"observe_root_tension": False}` removes 7. `{"privileged": True}` adds friction, contact stiffness and
+    drag, which a rig cannot measure. `{"observe_probe": True}` adds the seven properties of the probe
+    (`probe_env.envs.task.scales.PROBE`), for one controller of many probes.
 
     ## Rewards
     The sum of `info["reward_terms"]`: progress (1 per metre), vibration (-(rms / 0.1 mm)^2 per metre, the ratio up
     to 3), time (-0.1 per second), air (-0.2 per m3), jerk (-0.005 times the squared change of the action),
-    uninspected (per metre that was not inspected when the episode ends, the most that inspecting one can cost),
+    uninspected (per metre that is not inspected when the episode ends, the largest cost of inspecting a metre),
     diverged (-10). Weights are fields of `probe_env.envs.task.TaskConfig`.
 
-    Beside it, and in no reward, `info["cost"]` counts what is unsafe in the period, the sum of `info["cost_terms"]`,
-    each 0 or 1: lost_drive (tension too low to drive, see Episode End), tension (above `tension_limit`, 110 N unless
-    changed), buckling (the root is pressed with more than the cable bears between two floats).
+    `info["cost"]` is separate from the reward. It is the sum of `info["cost_terms"]`, each 0 or 1 per period:
+    lost_drive (tension too low to drive, see Episode End), tension (above `tension_limit`, default 110 N), buckling
+    (compression at the root above the buckling load between two floats).
 
     ## Starting State
-    A context is drawn (friction 0.10-0.25, contact stiffness 0.7e5-1.4e5 N/m, drag +-10 %, one of six helix
-    diameters); the probe settles for 2 s at 0.2 m/s and 63 m3/h. `options` of `reset` fix any of these. A context that
-    the fidelity's step or the model cannot simulate is a `ValueError` that names it, see
+    A context is sampled (friction 0.10-0.25, contact stiffness 0.7e5-1.4e5 N/m, drag +-10 %, one of six helix
+    diameters); the probe settles for 2 s at 0.2 m/s and 63 m3/h. `options` of `reset` set any field of the context. If
+    the time step or the model cannot simulate a context, `reset` raises a `ValueError` that names it, see
     `probe_env.envs.episodes.limits`.
 
     ## Episode End
     Terminated at the end of the helix, on lost drive (mean root tension below 0.8 N, an assumption for the rising
-    straight part, in 3 periods in a row once 15 m are in) and when the simulation diverges
+    straight part, in 3 consecutive periods from 15 m of inserted length on) and when the simulation diverges
     (`info["diverged"]`, with the last finite observation); truncated after 900 s.
-    `info["episode_kpis"]` then has the figures of the episode.
+    The last `info` has the figures of the episode in `episode_kpis`.
 
     ## Arguments
-    * `config`: fields of `TaskConfig` to change, or a whole one.
-    * `tube`: a plant of one's own, the path of its `tube.toml`, its fields as a mapping or a `probe_env.Plant`: sets
-      the scene, the task's ranges and limits, and what is known of friction, stiffness and drag, from which random
-      contexts are drawn. `config` then changes fields of its task.
-    * `scene`: what contexts and options change, without a tube; default table 2 of the study. A `Scene`, or a mapping
-      of what differs from it, such as `{"tube": {"inner_diameter": 0.025}}`, with which `spec.to_json()` works.
+    * `config`: fields of `TaskConfig` to change, or a whole `TaskConfig`.
+    * `tube`: your own plant: the path of its `tube.toml`, its fields as a mapping, or a `probe_env.Plant`. It sets the
+      scene, the ranges and limits of the task, and the distribution of friction, stiffness and drag from which random
+      contexts are sampled. `config` then changes fields of its task.
+    * `scene`: base scene without a `tube`; default table 2 of the study. A `Scene`, or a mapping of changed fields such
+      as `{"tube": {"inner_diameter": 0.025}}`, which `spec.to_json()` can store.
     * `fidelity`: "standard", "fast", another preset, "auto" or custom settings, see `probe_env.fidelity`. "surrogate"
-      predicts from a vibration map instead of simulating, some 100 times faster, for training; without a render mode.
-    * `surrogate_map`: the map's file, for "surrogate" alone; default: NAME-map.npz beside the `tube`'s file, if there
-      is one, else that of table 2's tubes.
-    * `contexts`: "random", a shipped list ("train", "validation", "test"), `Context`s or mappings of one's own, or
-      `Ranges` to draw from.
-    * `feed_speed`, `air_supply_rate`: of the settling, SI units; default 0.2 m/s and 63 m3/h, or the nearest in range.
-    * `probes`: "scene", or "random": every reset draws a `probe_env.Design` from the whole design space, so that one
-      agent serves many probes; it shows in the reset's `info["probe"]` and, with `config={"observe_probe": True}`, in
-      the observation; a constant length is cut to whole pitches.
+      predicts from a vibration map instead of simulating, about 100 times faster, for training; it has no render mode.
+    * `surrogate_map`: file of the map, for "surrogate" only. Default: NAME-map.npz next to the file of the `tube`, if
+      it exists, else the map of table 2's tubes.
+    * `contexts`: "random", a shipped list ("train", "validation", "test"), your own list of `Context`s or mappings, or
+      `Ranges` to sample from.
+    * `feed_speed`, `air_supply_rate`: while the probe settles, SI units; default 0.2 m/s and 63 m3/h, or the nearest
+      values in range.
+    * `probes`: "scene", or "random": every reset samples a `probe_env.Design` from the whole design space, so that one
+      agent serves many probes. `info["probe"]` of `reset` holds it, and the observation with
+      `config={"observe_probe": True}`. A constant length is cut to whole pitches.
     * `render_mode`: "rgb_array" or "human".
     """
 
 
 class SnapshotEnv(ProbeEnv):
-    """A probe of constant length, as in the study's figures: for quick tests and comparison.
+    """A probe of constant length, as in the figures of the study, for quick tests and comparison.
 
     ## Description
-    As `Insertion-v1`, but the length stays as it is (carrier length of the scene, 50 m, or the option
-    `carrier_length`): what is fed in counts as inspected and does not lengthen the probe. Control period 0.1 s,
-    truncated after 8 s; the probe starts from rest and settles for one period.
+    As `Insertion-v1`, but the inserted length is constant: carrier length of the scene (50 m) or the option
+    `carrier_length`. The feed counts as inspected length. Control period 0.1 s, truncated after 8 s.
 
-    Actions, observations, rewards and arguments are those of `Insertion-v1`; nothing is left uninspected.
+    Actions, observations, rewards and arguments are those of `Insertion-v1`; `uninspected` is 0.
 
     ## Starting State
-    At rest, then one period at the settling's feed and air.
+    At rest, then one period with the initial feed and air.
 
     ## Episode End
     Truncated after 8 s; terminated on lost drive and when the simulation diverges.
@@ -204,36 +208,35 @@ class SnapshotEnv(ProbeEnv):
 
 
 class InspectionEnv(ProbeEnv):
-    """A whole inspection: feed a probe in and draw it back, looking both ways.
+    """A round trip: insert a probe, withdraw it, and inspect on both passes.
 
     ## Description
-    The probe is fed in as in `Insertion-v1`. At the end of the helix feed and air are turned round: the air blows
-    towards the feed device, which draws the cable out, until the probe is where it began. On withdrawal the cable is
-    pressed and lies on the outer wall, where it hardly rings. What a metre counts for is the better of both passes.
+    The probe is inserted as in `Insertion-v1`. At the end of the helix feed and air reverse: the air blows towards the
+    feed device, which withdraws the cable to its initial length. On withdrawal the cable is under compression and lies
+    on the outer wall, where it hardly vibrates. A metre is scored by the better of both passes.
 
     ## Action Space
-    As `Insertion-v1`: how fast and how much air, of the pass that the probe is on.
+    As `Insertion-v1`: magnitude of feed speed and air supply, in the direction of the current pass.
 
     ## Observation Space
-    As `Insertion-v1`; feed speed and air supply are below 0 on withdrawal, and `way` comes before what is privileged:
-    1 on insertion, -1 on withdrawal.
+    As `Insertion-v1`; feed speed and air supply are negative on withdrawal. `way` follows before any privileged
+    observations: 1 on insertion, -1 on withdrawal.
 
     ## Rewards
-    As `Insertion-v1`, for time and air of both passes. `config={"inspects": "best"}` (default): a metre that is quieter
-    on withdrawal than on insertion gives the difference back; `"in"`: withdrawal shows nothing; `"back"`: nothing
-    but withdrawal counts as inspected. KPIs of what is found go by the same: with `"best"` a flaw is found where
-    either pass calls it, each with half of the false calls. Whatever counts, uninspected is what is left of both passes
-    when the episode ends: a probe that stays in the tube owes the metres that it was not drawn back.
+    As `Insertion-v1`, with time and air of both passes. `config={"inspects": "best"}` (default): if a metre is quieter
+    on withdrawal than on insertion, its vibration cost is reduced to that of withdrawal. `"in"` scores insertion only,
+    `"back"` withdrawal only. Detection KPIs use the same passes: with `"best"` a flaw is detected if either pass calls
+    it, each with half of the false calls. In all three, uninspected is the remaining length of both passes when the
+    episode ends: a probe that stays in the tube is charged for the metres that it was not withdrawn.
 
     ## Episode End
-    Terminated when the probe is back where it began, on lost drive on insertion, and when the simulation diverges;
-    truncated after 1,800 s.
+    Terminated when the probe is back at its initial length, on lost drive during insertion, and when the simulation
+    diverges; truncated after 1,800 s.
 
     ## Arguments
-    As `Insertion-v1`. `fidelity`: "standard" and "fast" simulate withdrawal, with nodes between the
-    floats; so do settings with newmark, wilson, imex, implicit or explicit. Time-lapse ("fast") is for insertion
-    alone: on withdrawal the motion is what the turn or a change of the feed has left. The cable touches the walls in
-    every scene.
+    As `Insertion-v1`. Withdrawal needs nodes between the floats: `fidelity` "standard" or "fast", or settings with
+    newmark, wilson, imex, implicit or explicit. Time-lapse ("fast") applies to insertion only, because the motion on
+    withdrawal is a transient of the turn or of a change of feed. The cable touches the walls in every scene.
     """
 
     defaults: ClassVar[dict[str, Any]] = {"passes": "both", "time_limit": 1800.0}
@@ -244,13 +247,13 @@ class ProbeVectorEnv(gym.vector.VectorEnv[Observation, Observation, Any]):
 
     Args:
         num_envs: N.
-        autoreset_mode: when an ended episode starts anew: ``AutoresetMode.NEXT_STEP`` (default), ``SAME_STEP``
+        autoreset_mode: when an ended episode restarts: ``AutoresetMode.NEXT_STEP`` (default), ``SAME_STEP``
             (with ``final_obs`` and ``final_info`` in the infos) or ``DISABLED`` (``options["reset_mask"]``).
-        threads: at most so many; default: all cores.
+        threads: maximum number of threads; default: all cores.
         config, settings: see ``InsertionEnv``.
-        max_episode_steps: an episode is truncated after so many steps, as by ``gymnasium.make``; default: only by the
-            task's own time limit, a field of ``config``.
-        render_mode: refused: render a single environment.
+        max_episode_steps: number of steps after which an episode is truncated, as in ``gymnasium.make``; default: only
+            the time limit of ``config``.
+        render_mode: must be None: render a single environment.
 
     Raises:
         ValueError: an argument is not valid.
@@ -272,8 +275,9 @@ class ProbeVectorEnv(gym.vector.VectorEnv[Observation, Observation, Any]):
     ) -> None:
         check_episode_steps(max_episode_steps)
         if render_mode is not None:
-            raise ValueError(f"render_mode = {render_mode!r}: a batch is not rendered; use a single environment")
-        self.config, settings = placed(self.single.defaults, config, settings)
+            raise ValueError(f"render_mode = {render_mode!r}: a batch is not rendered; use gym.make")
+        self.config, settings = resolve_settings(self.single.defaults, config, settings)
+        check_keywords("gym.make_vec", settings, ("config", *DEFAULTS))
         self.episodes = make_episodes(num_envs, self.config, threads=threads, **settings)
         self.num_envs = num_envs
         self.autoreset_mode = AutoresetMode(autoreset_mode)
@@ -289,7 +293,7 @@ class ProbeVectorEnv(gym.vector.VectorEnv[Observation, Observation, Any]):
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Start episodes: all, or those of ``options["reset_mask"]``. Other options are those of the single one.
+        """Start all episodes, or those of ``options["reset_mask"]``. Other options: see ``Episodes.reset``.
 
         Raises:
             ValueError: seeds, mask or options are not valid.
@@ -304,9 +308,9 @@ class ProbeVectorEnv(gym.vector.VectorEnv[Observation, Observation, Any]):
         if seeds is not None and len(seeds) != self.num_envs:
             raise ValueError(f"seed has {len(seeds)} entries for {self.num_envs} environments")
         for k in which:
-            own_seed = None if seeds is None else seeds[k]
-            if own_seed is not None or k not in self._rngs:  # else its generator goes on
-                self._rngs[k] = gym.utils.seeding.np_random(own_seed)[0]
+            env_seed = None if seeds is None else seeds[k]
+            if env_seed is not None or k not in self._rngs:  # else its generator continues
+                self._rngs[k] = gym.utils.seeding.np_random(env_seed)[0]
         observation, infos = self.episodes.reset(which, self._rngs, dict.fromkeys(which, options))
         self._ended[mask], self._steps[mask] = False, 0
         merged: dict[str, Any] = {}
@@ -317,7 +321,7 @@ class ProbeVectorEnv(gym.vector.VectorEnv[Observation, Observation, Any]):
     def step(
         self, actions: npt.ArrayLike
     ) -> tuple[Observation, FloatArray, npt.NDArray[np.bool_], npt.NDArray[np.bool_], dict[str, Any]]:
-        """One control period; ended episodes are handled after ``autoreset_mode``."""
+        """Advance one control period; ended episodes restart according to ``autoreset_mode``."""
         starting = self._ended.copy()
         if starting.any() and self.autoreset_mode is AutoresetMode.DISABLED:
             raise RuntimeError(f"episode {np.flatnonzero(starting)[0]} has ended: reset it with options['reset_mask']")

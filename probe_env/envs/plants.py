@@ -1,8 +1,8 @@
-"""A plant as one typed file, ``tube.toml``: its tubes, probe, air, feed device and task, and what is known of them.
+"""A plant from one file, ``tube.toml``: tubes, probe, air, feed device and task, with uncertainties.
 
-The same object goes to ``gymnasium.make(..., tube=...)``, to every command as ``--tube`` and into stored results: the
-task carries its scene, so that results of different plants never mix. A figure that is not known is a number, a range,
-a mean with its standard deviation, or the joint draws of a calibration, read from ``calibration.json``.
+``gymnasium.make(..., tube=...)`` and ``--tube`` of every command take the same object, and stored results contain it:
+the task includes the scene, so that results of different plants are never mixed. An uncertain quantity is a range, a
+mean with its standard deviation, or the joint draws of a calibration, read from ``calibration.json``.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from scipy.stats import qmc, truncnorm
 
 from probe_env.arrays import FloatArray
 from probe_env.envs.contexts import Context
-from probe_env.envs.task import SHOWN, TaskConfig, ungrouped
+from probe_env.envs.task import VISIBLE_FIELDS, TaskConfig, ungrouped
 from probe_env.files import MEBI, FileError, read_bytes, read_toml
 from probe_env.inspection.sensor import Sensor
 from probe_env.scene import Air, Contact, Probe, Scene, Tube
@@ -32,7 +32,7 @@ from probe_env.settings import Model, Quantity, explain, quantity, range_of, tup
 
 
 class Between(Model):
-    """Anything from ``low`` to ``high``, all equally likely."""
+    """Uniform distribution from ``low`` to ``high``."""
 
     low: FiniteFloat
     high: FiniteFloat
@@ -45,14 +45,14 @@ class Between(Model):
 
 
 class Normal(Model):
-    """Normal with a standard deviation, cut off where the figure's accepted range ends."""
+    """Normal distribution, truncated to the accepted range of the quantity."""
 
     mean: FiniteFloat
     std: Annotated[FiniteFloat, Field(gt=0.0)]
 
 
-def _described(value: Any) -> Any:
-    """A table as the model whose keys it has: pydantic would tell what is wrong with it for each of them."""
+def _as_figure(value: Any) -> Any:
+    """The model whose keys a table has; pydantic would report errors for each model."""
     if isinstance(value, Between | Normal) or (isinstance(value, int | float) and not isinstance(value, bool)):
         return value
     for kind in (Between, Normal):
@@ -61,11 +61,11 @@ def _described(value: Any) -> Any:
     raise PydanticCustomError("figure", "must be a number, a table of low and high, or one of mean and std")
 
 
-Figure = Annotated[float | Between | Normal, BeforeValidator(_described)]
+Figure = Annotated[float | Between | Normal, BeforeValidator(_as_figure)]
 
 
 def quantiles(figure: Figure, shares: npt.ArrayLike, low: float, high: float) -> FloatArray:
-    """Values of a figure at shares in (0, 1), of their shape; ``low`` and ``high`` are what is accepted of it."""
+    """Quantiles of a figure at ``shares`` in (0, 1), of their shape; ``low`` and ``high`` are its accepted range."""
     shares = np.asarray(shares, dtype=float)
     match figure:
         case Between():
@@ -78,16 +78,16 @@ def quantiles(figure: Figure, shares: npt.ArrayLike, low: float, high: float) ->
 
 
 def middle(figure: Figure, low: float, high: float) -> float:
-    """Median of a figure: what is taken where one value is needed."""
+    """Median of a figure, used where one value is needed."""
     return float(quantiles(figure, 0.5, low, high))
 
 
 FRICTION, STIFFNESS, DRAG = (0.0, 1.0), (1e2, 1e8), (0.0, 10.0)
-"""Accepted range of each figure that may be unknown, in the units of its field."""
+"""Accepted range of each uncertain quantity, in the units of its field."""
 
 
 class _Figure(Quantity):
-    """Range of a figure that may be unknown (of a normal one, of its mean), or of each of some numbers."""
+    """Accepted range of a figure (of the mean of a normal one) or of each number of a list."""
 
     name = "value"
 
@@ -108,57 +108,57 @@ class _Diameters(_Figure):
 
 
 class Tubes(Model):
-    """Of a plant: one bore and one length, helices of one diameter or of some."""
+    """Tubes of a plant: one bore, one length, and one or more helix diameters."""
 
     helix_diameter: Annotated[
         float | Annotated[tuple[float, ...], Field(min_length=1, max_length=1000)], _Diameters(0.3, 50.0, "m")
     ] = Tube().helix_diameter
-    """Of the tube's axis [m], a number or a list."""
+    """Helix diameter of the tube axis [m], a number or a list."""
     inner_diameter: Annotated[float, range_of(Tube, "inner_diameter")] = Tube().inner_diameter
-    """Of the tubes [m]."""
+    """Bore [m]."""
     helix_length: Annotated[float, range_of(Tube, "helix_length")] = Tube().helix_length
-    """Along the tube's axis [m]."""
+    """Length of the helix along the tube axis [m]."""
     straight_length: Annotated[float, quantity(0.0, 1e3, "m")] | None = None
-    """Of the rising straight part [m]; kept with the results, nothing is computed from it."""
+    """Length of the rising straight part [m]; stored with the results, not used in computations."""
     support_spacing: Annotated[float, quantity(1e-3, 100.0, "m")] | None = None
-    """Between two supports of the tube [m]; ``probe-env signal`` shows them, nothing else is computed from it."""
+    """Distance between supports of the tube [m]; used by ``probe-env signal`` only."""
 
 
 class Walls(Model):
-    """Contact of floats and wall."""
+    """Contact of floats and walls."""
 
     friction: Annotated[Figure, _Figure(*FRICTION, "")] = Contact().friction
-    """Coulomb's coefficient [-]: a number, ``{low, high}`` or ``{mean, std}``."""
+    """Friction coefficient [-]: a number, ``{low, high}`` or ``{mean, std}``."""
     stiffness: Annotated[Figure, _Figure(*STIFFNESS, "N/m")] = Contact().stiffness
-    """Of the wall under a float [N/m], alike."""
+    """Contact stiffness per float [N/m]: a number, ``{low, high}`` or ``{mean, std}``."""
     walls: Literal["both", "inner"] = "both"
-    """Walls that floats touch."""
+    """Walls that the floats can touch."""
     cable: bool = False
-    """Whether the cable between floats touches the walls too: needed where it is weak, or fed in hard."""
+    """Whether the cable between floats can touch the walls: needed for a weak cable or high compression."""
 
 
 class Supply(Model):
-    """Air and how it is supplied."""
+    """Air and air supply."""
 
     density: Annotated[float, range_of(Air, "density")] = Air().density
-    """Of the air [kg/m3]."""
+    """Air density [kg/m3]."""
     drag_coefficient: Annotated[Figure, _Figure(*DRAG, "")] = Air().drag_coefficient
-    """Of a float [-]: a number, ``{low, high}`` or ``{mean, std}``."""
+    """Drag coefficient of a float [-]: a number, ``{low, high}`` or ``{mean, std}``."""
     air_supply_rates: Annotated[tuple[float, float] | None, range_of(TaskConfig, "air_supply_rates")] = None
-    """Least and most [m3/s]; default: the task's."""
+    """Range of the air supply [m3/s]; default: the task's."""
     air_supply_step: Annotated[float | None, range_of(TaskConfig, "air_supply_step")] = None
-    """Smallest step in which it is set [m3/s]; 0: any."""
+    """Resolution of the air supply [m3/s]; 0: continuous."""
     air_lag: Annotated[float | None, range_of(TaskConfig, "air_lag")] = None
-    """Time constant with which it follows [s]."""
+    """Time constant of the air supply [s]."""
 
 
 class FeedDevice(Model):
-    """What feeds the cable."""
+    """Feed device."""
 
     feed_speeds: Annotated[tuple[float, float] | None, range_of(TaskConfig, "feed_speeds")] = None
-    """Least and most [m/s]; default: the task's."""
+    """Range of the feed speed [m/s]; default: the task's."""
     feed_speed_step: Annotated[float | None, range_of(TaskConfig, "feed_speed_step")] = None
-    """Smallest step in which it is set [m/s]; 0: any."""
+    """Resolution of the feed speed [m/s]; 0: continuous."""
     ramp: Annotated[float | None, range_of(TaskConfig, "ramp")] = None
     """Acceleration of the feed [m/s2]."""
 
@@ -169,7 +169,7 @@ Draws = Annotated[tuple[FiniteFloat, ...], Field(min_length=1, max_length=MOST_D
 
 
 class Posterior(Model):
-    """Equally likely draws; the k-th of all belong together."""
+    """Joint posterior draws of a calibration, equally likely; the k-th values of all quantities form one draw."""
 
     friction: Draws | None = None
     """[-]."""
@@ -184,12 +184,12 @@ class Posterior(Model):
     def _belong_together(self) -> Self:
         counts = {len(draws) for draws in self.draws.values()}
         if len(counts) != 1:
-            raise PydanticCustomError("draws", "must be as many draws of each quantity, and of one at least")
+            raise PydanticCustomError("draws", "must be as many draws of each quantity, and at least one quantity")
         return self
 
     @property
     def draws(self) -> dict[str, FloatArray]:
-        """What it tells of, (n,) each."""
+        """Draws (n,) by quantity."""
         listed = {name: getattr(self, name) for name in type(self).model_fields}
         return {name: np.array(values) for name, values in listed.items() if values is not None}
 
@@ -212,8 +212,8 @@ class Posterior(Model):
             raise FileError(path, "draws: missing, so it is not a calibration (probe-env calibrate writes one)")
         if content.get("misspecified") is True:
             warnings.warn(
-                f"{path}: the calibration is misspecified: the model cannot have made its logs, whatever friction, and"
-                " what is computed with its figures means nothing",
+                f"{path}: the calibration is misspecified: the model does not fit its logs with any parameters; do not"
+                " use results computed from it",
                 stacklevel=5,
             )
         try:
@@ -222,7 +222,7 @@ class Posterior(Model):
             raise FileError(path, explain(error, "draws")) from error
 
     def rows(self, shares: FloatArray) -> dict[str, FloatArray]:
-        """Draws (n,) at shares (n,) in (0, 1) of their order by the first quantity; those of a row belong together."""
+        """Joint draws (n,) at ``shares`` (n,) in (0, 1) of their order by the first quantity."""
         draws = self.draws
         order = np.argsort(next(iter(draws.values())), kind="stable")
         rows = order[np.minimum((np.asarray(shares) * len(order)).astype(int), len(order) - 1)]
@@ -234,7 +234,7 @@ class Posterior(Model):
 
 
 def check_draws(posterior: Posterior | None, file: Path | None = None) -> None:
-    """Raise ValueError, with a file FileError, if draws are not values that the plant's own fields accept."""
+    """Raise ValueError (FileError with a file) if draws are outside the accepted range of their quantity."""
     ranges = {"friction": FRICTION, "contact_stiffness": STIFFNESS, "drag_coefficient": DRAG}
     for name, draws in posterior.draws.items() if posterior else ():
         low, high = ranges.get(name, (0.0, 1.0))
@@ -247,15 +247,15 @@ def check_draws(posterior: Posterior | None, file: Path | None = None) -> None:
                 raise PydanticCustomError("out_of_range", "{text}", {"text": str(error)}) from None
 
 
-def with_posterior(given: Mapping[str, Any], folder: Path | None = None) -> dict[str, Any]:
-    """A plant's tables with the draws that ``posterior = "calibration.json"`` names, relative to ``folder`` or here.
+def with_posterior(plant: Mapping[str, Any], folder: Path | None = None) -> dict[str, Any]:
+    """Tables of a plant with the draws of ``posterior = "calibration.json"``, relative to ``folder`` or here.
 
     Raises:
         FileNotFoundError, FileError: see ``Posterior.read``.
     """
-    tables, named = dict(given), given.get("posterior")
-    if isinstance(named, str | Path):
-        path = (folder or Path()) / named
+    tables, file = dict(plant), plant.get("posterior")
+    if isinstance(file, str | Path):
+        path = (folder or Path()) / file
         tables["posterior"] = Posterior.read(path)
         check_draws(tables["posterior"], path)
     return tables
@@ -263,15 +263,15 @@ def with_posterior(given: Mapping[str, Any], folder: Path | None = None) -> dict
 
 MOST_TUBES: Final = 4096
 FACTORS: Final = (0.1, 10.0)
-"""Accepted drag of a ``Context`` over the scene's."""
+"""Accepted range of the drag factor of a ``Context``."""
 RARE: Final = 1e-6
-LONGEST: Final = 60.0  # [m], of a helix that the task's own time limit is for
+LONGEST: Final = 60.0  # [m], longest helix for which the default time limit is made
 OF_FEED, OF_AIR = ("feed_speeds", "feed_speed_step", "ramp"), ("air_supply_rates", "air_supply_step", "air_lag")
-"""Fields of the task that stand in the tables of the feed device and of the air."""
+"""Fields of the task in the tables of the feed device and of the air."""
 
 
 class Plant(Model):
-    """Tubes, probe and task of a plant; what is left out is table 2's and the task's own."""
+    """Tubes, probe and task of a plant; defaults are table 2's and the task's."""
 
     tube: Tubes = Tubes()
     probe: Probe = Probe()
@@ -282,11 +282,11 @@ class Plant(Model):
     task: Annotated[dict[str, Any], BeforeValidator(ungrouped)] = Field(default_factory=dict)
     """Fields of ``TaskConfig``, by themselves or in tables of its groups."""
     posterior: Posterior | None = None
-    """What a calibration found; it goes before the figures of the same quantities. A file names it by its path."""
+    """Draws of a calibration, which replace the figures of the same quantities; in a file the path to them."""
 
     @classmethod
     def from_toml(cls, path: str | Path) -> Self:
-        """Read a plant's file, and the calibration beside it where it names one; raises as ``Model.from_toml``."""
+        """Read the file of a plant and of its calibration, if it names one; raises as ``Model.from_toml``."""
         data = read_toml(path)
         try:
             return cls.model_validate(with_posterior(data, Path(path).parent))
@@ -299,8 +299,8 @@ class Plant(Model):
 
     @model_validator(mode="before")
     @classmethod
-    def _takes_lists(cls, given: Any) -> Any:
-        return tuples(with_posterior(given)) if isinstance(given, Mapping) else given
+    def _takes_lists(cls, plant: Any) -> Any:
+        return tuples(with_posterior(plant)) if isinstance(plant, Mapping) else plant
 
     @model_validator(mode="after")
     def _is_possible(self) -> Self:
@@ -308,9 +308,9 @@ class Plant(Model):
             dict.fromkeys(OF_FEED, "feed") | dict.fromkeys(OF_AIR, "air") | {"scene": "tube", "sensor": "sensor"}
         )
         for name in self.task:
-            if name in misplaced or name in SHOWN:
-                place = f"stands in [{misplaced[name]}]" if name in misplaced else "is set by who looks at it"
-                raise PydanticCustomError("task", "{text}", {"text": f"task.{name}: {place}"})
+            if name in misplaced or name in VISIBLE_FIELDS:
+                reason = f"belongs in [{misplaced[name]}]" if name in misplaced else "is set by the policy"
+                raise PydanticCustomError("task", "{text}", {"text": f"task.{name}: {reason}"})
         check_draws(self.posterior)
         least, most = self._drag_factors(np.array([RARE, 1.0 - RARE]))
         low, high = FACTORS
@@ -330,7 +330,7 @@ class Plant(Model):
         return self
 
     def _middle(self, name: str) -> float:
-        """Median of a quantity by the posterior, or by its figure."""
+        """Median of a quantity from the posterior, else from its figure."""
         if self.posterior and name in self.posterior.draws:
             return self.posterior.middle(name)
         figures = {
@@ -343,13 +343,13 @@ class Plant(Model):
 
     @property
     def diameters(self) -> tuple[float, ...]:
-        """Of the helices [m]."""
-        given = self.tube.helix_diameter
-        return given if isinstance(given, tuple) else (given,)
+        """Helix diameters [m]."""
+        diameters = self.tube.helix_diameter
+        return diameters if isinstance(diameters, tuple) else (diameters,)
 
     @property
     def scene(self) -> Scene:
-        """A tube of the plant with the median of what is not known, the probe inserted as far as it goes up to 50 m."""
+        """A tube of the plant with medians of uncertain quantities; the probe is inserted up to 50 m."""
         return self.scenes[0]
 
     @cached_property
@@ -376,12 +376,12 @@ class Plant(Model):
     def configured(
         self, defaults: Mapping[str, Any] | None = None, changes: Mapping[str, Any] | None = None
     ) -> TaskConfig:
-        """The plant's task: an environment's defaults below what the plant says, ``changes`` above it.
+        """The task of the plant: ``changes`` override the plant, which overrides ``defaults`` of an environment.
 
-        A helix of more than 60 m has more time, in proportion, unless a time limit is given.
+        The time limit grows in proportion to a helix longer than 60 m, unless it is set.
 
         Raises:
-            ValueError: a field that is not known or not valid.
+            ValueError: a field is unknown or not valid.
         """
         return self._config(defaults or {}, changes or {}) if defaults or changes else self.config
 
@@ -397,44 +397,44 @@ class Plant(Model):
 
     def _drag_factors(self, shares: FloatArray) -> FloatArray:
         """(n,) drag over its median at shares (n,) in (0, 1)."""
-        usual = self._middle("drag_coefficient")
+        median = self._middle("drag_coefficient")
         if self.posterior and "drag_coefficient" in self.posterior.draws:
             drag = np.quantile(self.posterior.draws["drag_coefficient"], shares)
         else:
             drag = quantiles(self.air.drag_coefficient, shares, *DRAG)
-        return drag / usual if usual > 0.0 else np.ones(len(shares))
+        return drag / median if median > 0.0 else np.ones(len(shares))
 
     def contexts(self, count: int, seed: int = 0) -> tuple[Context, ...]:
-        """So many tubes: helices in turn, and friction, stiffness and drag spread over what is known of them.
+        """Sample ``count`` tubes with friction, stiffness and drag spread over their distributions.
 
-        Every prefix is as balanced as it can be (Halton's sequence, scrambled by the seed; the diameters equally often,
-        each over all of the rest); a longer list begins as a shorter one. What a posterior tells of belongs together;
-        its damping is the median in all tubes.
+        Samples are from Halton's sequence, scrambled by the seed, so that every prefix is balanced; the diameters occur
+        equally often, each with samples over the whole distribution. A longer list begins with the shorter one. Draws
+        of a posterior stay joint; its damping is the median in all tubes.
 
         Raises:
-            ValueError: the number is out of range.
+            ValueError: ``count`` is out of range.
         """
         if not 1 <= count <= MOST_TUBES:
             raise ValueError(f"tubes = {count!r} is outside the accepted range 1 to {MOST_TUBES}")
         blocks = -(-count // len(self.diameters))
         shares = qmc.Halton(3, rng=np.random.default_rng([2026, seed])).random(blocks * len(self.diameters))
-        helices = _in_turn(shares, self.diameters)
+        helices = _balanced_diameters(shares, self.diameters)
         shares = shares[:count]
-        drawn = {
+        samples = {
             "friction": quantiles(self.contact.friction, shares[:, 0], *FRICTION),
             "contact_stiffness": quantiles(self.contact.stiffness, shares[:, 1], *STIFFNESS),
         }
         factor = self._drag_factors(shares[:, 2])
         if self.posterior:
             joint = self.posterior.rows(shares[:, 0])
-            drawn |= {name: values for name, values in joint.items() if name in drawn}
+            samples |= {name: values for name, values in joint.items() if name in samples}
             if "drag_coefficient" in joint:
                 factor = joint["drag_coefficient"] / self._middle("drag_coefficient")
-        factor = np.clip(factor, *FACTORS)  # but for one in a million within it
+        factor = np.clip(factor, *FACTORS)  # clips one in a million
         return tuple(
             Context(
-                friction=round(float(drawn["friction"][k]), 4),
-                contact_stiffness=float(f"{drawn['contact_stiffness'][k]:.4g}"),
+                friction=round(float(samples["friction"][k]), 4),
+                contact_stiffness=float(f"{samples['contact_stiffness'][k]:.4g}"),
                 drag_factor=round(float(factor[k]), 4),
                 helix_diameter=helices[k],
             )
@@ -443,7 +443,7 @@ class Plant(Model):
 
 
 def implausible(plant: Plant) -> str:
-    """What of a plant is within its range and cannot be meant; empty if nothing."""
+    """Error message for values that are within their range but implausible; empty if there are none."""
     config, scene = plant.config, plant.scene
     for table, name, of, unit in (
         ("feed", "feed_speed_step", "feed_speeds", "m/s"),
@@ -452,15 +452,15 @@ def implausible(plant: Plant) -> str:
         step, (low, high) = getattr(config, name), getattr(config, of)
         if step > 0.0 and step * math.floor(high / step * (1.0 + 1e-9)) < low * (1.0 - 1e-9):
             return (
-                f"{table}.{name} = {step:g} {unit}: no whole step lies within {of}, {low:g} to {high:g} {unit}; give 0"
-                " for any, or a smaller one"
+                f"{table}.{name} = {step:g} {unit}: no whole step lies within {of}, {low:g} to {high:g} {unit}; use 0"
+                " (continuous) or a smaller step"
             )
     floats = min(scene.probe.guide_float_diameter, scene.probe.carrier_float_diameter)
     clearance = scene.tube.clear_diameter - floats
     if config.vibration_measure == "displacement" and config.limit > clearance:
         return (
             f"task.vibration_limit = {config.limit:g} m is more than the {clearance:.3g} m that the floats have in the"
-            " tube: give it in metres, 0.1 mm as 1e-4"
+            " tube: the unit is metres, 0.1 mm is 1e-4"
         )
     for name, figure in (
         ("contact.friction", plant.contact.friction),
@@ -469,50 +469,48 @@ def implausible(plant: Plant) -> str:
     ):
         if isinstance(figure, Normal) and figure.std > figure.mean:
             return (
-                f"{name}.std = {figure.std:g} is more than the mean, {figure.mean:g}: of what is hardly known give low"
-                " and high"
+                f"{name}.std = {figure.std:g} is more than the mean, {figure.mean:g}: use low and high for a"
+                " quantity this uncertain"
             )
     return ""
 
 
-def _in_turn(shares: FloatArray, diameters: Sequence[float]) -> list[float]:
-    """A diameter for each of the tubes: all in every block of so many, each over all that is known of the rest.
+def _balanced_diameters(shares: FloatArray, diameters: Sequence[float]) -> list[float]:
+    """Diameter of each tube: every block has all diameters, and each diameter has samples over the whole distribution.
 
-    Were they dealt out in their order, every second tube would have one of every second diameter and, Halton's first
-    sequence being that of base 2, friction of one half of its range. So a block's diameters are paired with its tubes
-    such that sums over the tubes of a diameter so far, of its shares and their squares, stay as small as they can.
+    In sequence, every second tube would have every second diameter and, as Halton's first sequence has base 2, friction
+    from one half of its range. So diameters are assigned to the tubes of a block such that the sums of centred shares
+    and their squares over the tubes of each diameter stay minimal.
 
     Args:
         shares: (n, 3) of friction, stiffness and drag, n a multiple of the number of diameters.
         diameters: [m].
     """
     centred = np.hstack([shares, shares**2]) - np.repeat([1.0 / 2.0, 1.0 / 3.0], shares.shape[1])
-    sums, dealt = np.zeros((len(diameters), centred.shape[1])), []
+    sums, assigned = np.zeros((len(diameters), centred.shape[1])), []
     for block in centred.reshape(-1, *sums.shape):
         _, tube_of = linear_sum_assignment(((sums[:, None] + block) ** 2).sum(axis=-1))
         sums += block[tube_of]
-        dealt += [diameters[k] for k in tube_of.argsort()]
-    return dealt
+        assigned += [diameters[k] for k in tube_of.argsort()]
+    return assigned
 
 
-def map_beside(tube: Path) -> Path:
-    """Where the vibration map of a plant is kept: beside its file, NAME-map.npz."""
+def map_file(tube: Path) -> Path:
+    """File of the vibration map of a plant: NAME-map.npz next to the plant's file."""
     return tube.with_name(f"{tube.stem}-map.npz")
 
 
-GivenPlant = Plant | str | Path | Mapping[str, Any] | None
+PlantSource = Plant | str | Path | Mapping[str, Any] | None
 """A plant, its file or its fields."""
 
 
-def plant_of(given: GivenPlant) -> Plant | None:
-    """A plant by its file, its fields or itself; None is none.
+def plant_of(source: PlantSource) -> Plant | None:
+    """A plant from its file, its fields or itself; None for None.
 
     Raises:
         FileNotFoundError: no such file.
-        ValueError: a field that is not known or not valid; names the file and every offending field.
+        ValueError: a field is unknown or not valid; names the file and every offending field.
     """
-    if given is None or isinstance(given, Plant):
-        return given
-    if isinstance(given, Mapping):
-        return Plant.model_validate(given)
-    return Plant.from_toml(given)
+    if source is None or isinstance(source, Plant):
+        return source
+    return Plant.model_validate(source) if isinstance(source, Mapping) else Plant.from_toml(source)

@@ -1,8 +1,8 @@
-"""Episodes of N probes without simulation: a vibration map, closed forms and measured noise predict each period.
+"""Surrogate episodes of N probes: a vibration map, closed forms and measured noise predict each period.
 
-Quasi-steady: vibration has no transients but its noise, and no probe diverges. Actions, feed and air dynamics,
-observations, rewards and endings are those of the simulated task. An agent learns here in minutes what takes hours in
-simulation; judge it by simulation.
+The surrogate is quasi-steady: vibration has no transients except its noise, and no probe diverges. Actions, feed and
+air dynamics, observations, rewards and endings are those of the simulated task. Training takes minutes instead of
+hours; evaluate agents by simulation.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from probe_env.envs.episodes.starts import (
     EpisodeSampler,
     EpisodeSettings,
     Probes,
-    placed,
+    resolve_settings,
     restored_on_error,
     settling,
 )
@@ -40,18 +40,18 @@ from probe_env.scene import Scene
 from probe_env.settings import check_keywords
 
 DRAWS: Final = 7
-"""Normal draws a probe and period: vibration slow and quick, tension, two accelerations, two sensors."""
+"""Normal draws per probe and period: slow and quick vibration, tension, two accelerations, two sensors."""
 IN_INFO: Final = (
     "inserted_length", "feed_speed", "air_supply_rate",
     "radial_rms_m", "radial_acceleration_rms_m_per_s2", "tension_mean_n",
 )  # fmt: skip
-"""Measured values that an info has."""
+"""Predicted values in ``info``."""
 DRIVE_STEP: Final = 5e-3
-"""[s] in which the drive moves on: a change of the feed by 0.2 m/s then mistakes the length by 0.5 mm."""
+"""Time step of the feed and air dynamics [s]: the length error is 0.5 mm for a change of feed by 0.2 m/s."""
 
 
 class Scatter(NamedTuple):
-    """A stationary Gaussian process of order one: standard deviation, and correlation from one second to the next."""
+    """Stationary Gaussian AR(1) process: standard deviation, and correlation from one second to the next."""
 
     deviation: float = 0.0
     correlation: float = 0.0
@@ -62,10 +62,10 @@ class Scatter(NamedTuple):
 
 
 class Noise(NamedTuple):
-    """What the map leaves out of a second of an insertion, in decades."""
+    """Scatter of a second of insertion about the map, in decades."""
 
-    bias: float = 0.0  # of a second's rms against that of a metre, which the map predicts
-    slow: Scatter = Scatter()  # tubes and stretches louder or quieter than the map says
+    bias: float = 0.0  # rms of a second relative to that of a metre, which the map predicts
+    slow: Scatter = Scatter()  # deviation of tubes and segments from the map
     quick: float = 0.0  # standard deviation of the radial rms from one second to the next
     tension: Scatter = Scatter()  # natural logarithm of the root tension over that of steady sliding
     radial: tuple[float, ...] = (1.0, 0.7, 0.0, 0.0, 0.0, 0.0)  # of log10 of the rms acceleration, see ``features``
@@ -84,11 +84,11 @@ MEASURED: Final = Noise(
     axial=(0.8155, 0.3837, -0.04155, 0.1829, 0.0414, 0.3907),
     axial_scatter=Scatter(0.26028889503501884, 0.9369185350655408),
 )
-"""Of 12,303 seconds of insertions with random feed and air in 24 training tubes at ``fast``."""
+"""Measured on 12,303 seconds of insertions with random feed and air in 24 training tubes at ``fast``."""
 
 
 def features(vibration: FloatArray, feed: FloatArray, length: FloatArray, tubes: FloatArray) -> FloatArray:
-    """(n, 6) inputs of the accelerations, by log10(radial rms / 0.1 mm), feed [m/s], inserted length [m] and tubes."""
+    """(n, 6) inputs of the accelerations from log10(radial rms / 0.1 mm), feed [m/s], inserted length [m] and tubes."""
     one = np.ones_like(vibration)
     friction, diameter = tubes[:, 0] / 0.175, 1.0 / tubes[:, 3]
     return np.column_stack([one, vibration, np.log10(np.maximum(feed, 1e-3)), length / 60.0, friction, diameter])
@@ -111,7 +111,7 @@ def make_episodes(
 def check_tubes(
     config: TaskConfig, contexts: Sequence[Context], fidelity: Fidelity, vibration: VibrationMap | None = None
 ) -> None:
-    """Raise ValueError if an episode of the scene's probe could not begin in one of some tubes; nothing is simulated.
+    """Raise ValueError if an episode of the scene's probe cannot begin in one of the tubes; nothing is simulated.
 
     Args:
         config: the task.
@@ -120,7 +120,7 @@ def check_tubes(
         vibration: map of the surrogate; default: the shipped one.
     """
     sampler = EpisodeSampler(config, tuple(contexts), "scene", *settling(config, {}))
-    config.action(sampler.feed_speed, sampler.air_supply_rate)  # refuses a settling out of the task's range
+    config.action(sampler.feed_speed, sampler.air_supply_rate)  # raises if out of the task's range
     if fidelity.simulates:
         check_fidelity(fidelity, config)
     else:
@@ -134,18 +134,18 @@ def check_tubes(
 
 
 class SurrogateEpisodes:
-    """N episodes side by side; the counterpart of ``Episodes``, with less in their infos and KPIs.
+    """N surrogate episodes; same methods as ``Episodes``, fewer infos and KPIs.
 
     Args:
         count: N.
         config: the task.
         allow_standstill: whether the feed action may be the task's ``standstill``.
-        noise: what the map leaves out; default: as measured.
+        noise: scatter about the map; default: as measured.
         settings: see ``EpisodeSettings``; ``surrogate_map`` defaults to the shipped map.
 
     Raises:
-        ValueError: an argument is not valid, or asks for what the map does not predict.
-        TypeError: there is no such setting.
+        ValueError: an argument is not valid, or the map does not predict the task.
+        TypeError: unknown setting.
     """
 
     kernel_seconds: Final = 0.0
@@ -161,7 +161,7 @@ class SurrogateEpisodes:
         **settings: Unpack[EpisodeSettings],
     ) -> None:
         check_keywords(type(self).__name__, settings, DEFAULTS)
-        config, settings = placed({}, config, settings)
+        config, settings = resolve_settings({}, config, settings)
         arguments = DEFAULTS | settings
         vibration = arguments["surrogate_map"]
         if isinstance(vibration, str | Path):
@@ -197,19 +197,22 @@ class SurrogateEpisodes:
     def __len__(self) -> int:
         return len(self.context)
 
+    def __repr__(self) -> str:
+        return f"{len(self)} x {self.config!r}, {self.fidelity!r}"
+
     @property
     def observation(self) -> npt.NDArray[np.float32]:
-        """(N, d) the present observation."""
+        """(N, d) current observation."""
         return self.sensors.observation
 
     @property
     def batch(self) -> NoReturn:
-        """None: a policy that looks ahead needs a simulator.
+        """Not available: planning needs a simulator.
 
         Raises:
             ValueError: always.
         """
-        raise ValueError("fidelity = 'surrogate' has no simulator for a policy to look ahead with: give fast or finer")
+        raise ValueError("fidelity = 'surrogate' has no simulator for planning: use fast or finer")
 
     def reset(
         self,
@@ -217,18 +220,18 @@ class SurrogateEpisodes:
         rngs: Mapping[int, np.random.Generator],
         options: Mapping[int, Mapping[str, Any] | None] | None = None,
     ) -> tuple[npt.NDArray[np.float32], dict[int, dict[str, Any]]]:
-        """Start new episodes of some probes; (N, d) observation and their infos. Options as of ``Episodes.reset``.
+        """Start new episodes of some probes; (N, d) observation and their infos. Options: see ``Episodes.reset``.
 
         Raises:
-            ValueError: an option is not known or not valid, or the map does not cover a tube or probe; nothing has
-                been changed then.
+            ValueError: an option is unknown or not valid, or the map does not cover a tube or probe; nothing has
+                been changed.
         """
-        drawn: dict[int, tuple[Context, Scene]] = {}
+        prepared: dict[int, tuple[Context, Scene]] = {}
         with restored_on_error(rngs[k] for k in which):
             for k in which:
-                drawn[k] = self.sampler.draw(rngs[k], (options or {}).get(k) or {})
-                _check_tube(*drawn[k], self.map)
-        for k, (context, scene) in drawn.items():
+                prepared[k] = self.sampler.draw(rngs[k], (options or {}).get(k) or {})
+                _check_tube(*prepared[k], self.map)
+        for k, (context, scene) in prepared.items():
             self.rng[k], self.context[k] = rngs[k], context
             self.tubes[k] = [getattr(context, name) for name in CONTEXT]
             self.inserted_length[k] = self.start[k] = scene.inserted_length
@@ -237,13 +240,13 @@ class SurrogateEpisodes:
             for values in self.sums.values():
                 values[k] = 0.0
             self.actions[k] = self.start_action
-        fresh = np.zeros(len(self), dtype=bool)
-        fresh[list(which)] = True
-        normal = normal_draws(self.rng, fresh, DRAWS)
+        started = np.zeros(len(self), dtype=bool)
+        started[list(which)] = True
+        normal = normal_draws(self.rng, started, DRAWS)
         for name, (row, process) in self.processes.items():
-            self.scatter[name] = np.where(fresh, process.deviation * normal[:, row], self.scatter[name])
+            self.scatter[name] = np.where(started, process.deviation * normal[:, row], self.scatter[name])
         measured = self._measured(normal)
-        self.sensors.begin(measured, fresh, normal[:, 5:])
+        self.sensors.begin(measured, started, normal[:, 5:])
         infos, probe = _rows(self._info_columns(measured)), self.config.scene.probe.model_dump()
         return self.observation.copy(), {
             k: infos[k] | {"context": self.context[k].model_dump(), "probe": probe, "diverged": False} for k in which
@@ -324,7 +327,7 @@ class SurrogateEpisodes:
         return scored
 
     def _measured(self, normal: FloatArray) -> dict[str, FloatArray]:
-        """Predicted values where the probes are, (N,) each, see ``observe``."""
+        """Predicted sensor values (N,), SI units, see ``observe``."""
         noise, scene = self.noise, self.config.scene
         length = np.maximum(self.inserted_length, 1.0)
         mean = self.map.predict(length, np.maximum(self.feed, 1e-3), self.air, self.tubes, scene)[0]
@@ -348,7 +351,7 @@ class SurrogateEpisodes:
         }
 
     def _info_columns(self, measured: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
-        """Physical values, SI units, (N,) each; the noise in a flaw's band only where the map is of it."""
+        """Physical values (N,) for ``info``, SI units; noise in the band of a flaw only if the map predicts it."""
         noise = {"noise_rms_m": measured["radial_rms_m"]} if self.map.measure == "snr" else {}
         inspected = {"time": self.time, "inspected_length": self.inserted_length - self.start}
         return inspected | {name: measured[name] for name in IN_INFO} | noise
@@ -370,7 +373,7 @@ class SurrogateEpisodes:
         return infos
 
     def _kpis(self, k: int, scored: Score) -> dict[str, float]:
-        """Figures of an episode that ends: those of ``Episodes`` that do not need samples of the motion."""
+        """KPIs of a finished episode: those of ``Episodes`` that need no samples of the motion."""
         sums = {name: float(values[k]) for name, values in self.sums.items()}
         radial, acceleration = sums.pop("radial"), sums.pop("acceleration")
         costs = {name: sums.pop(f"cost_{name}") for name in COSTS}
@@ -384,16 +387,16 @@ class SurrogateEpisodes:
 
 
 def _rows(columns: Mapping[str, npt.NDArray[Any]]) -> list[dict[str, Any]]:
-    """Columns (N,) by name as a dictionary a probe."""
+    """Columns (N,) by name as one dictionary per probe."""
     names = tuple(columns)
     rows = zip(*[column.tolist() for column in columns.values()], strict=True)
-    return [dict(zip(names, row, strict=False)) for row in rows]  # strict costs a tenth of a step
+    return [dict(zip(names, row, strict=False)) for row in rows]  # strict=True takes 10 % of a step
 
 
 def _check_tube(context: Context, scene: Scene, vibration: VibrationMap) -> None:
-    """Raise ValueError where a map does not cover the tube and probe of an episode."""
+    """Raise ValueError if a map does not cover the tube and probe of an episode."""
     if scene.probe != vibration.scene.probe:
-        raise ValueError("probe: the map is of another one; simulate with fidelity fast or finer")
+        raise ValueError("probe: the map is of another probe; simulate with fidelity fast or finer")
     low, high = vibration.ranges
     for k, name in enumerate(CONTEXT):
         if not low[k] - 1e-9 <= getattr(context, name) <= high[k] + 1e-9:
@@ -404,7 +407,7 @@ def _check_tube(context: Context, scene: Scene, vibration: VibrationMap) -> None
 
 
 def _check_task(config: TaskConfig, probes: Probes, vibration: VibrationMap) -> None:
-    """Raise ValueError where the map does not predict a task."""
+    """Raise ValueError if the map does not predict a task."""
     length, longest = config.scene.tube.helix_length, vibration.scene.tube.helix_length
     refused = {
         "growing = False": not config.growing,
@@ -417,7 +420,7 @@ def _check_task(config: TaskConfig, probes: Probes, vibration: VibrationMap) -> 
     wrong = [name for name, is_so in refused.items() if is_so]
     if wrong:
         raise ValueError(
-            f"fidelity = 'surrogate' is for insertions as the vibration map knows them (Insertion-v1), without"
+            f"fidelity = 'surrogate' is for insertions of the vibration map (Insertion-v1), without"
             f" {', '.join(wrong)}: simulate with standard"
         )
     rms_limit(config)  # refuses a vibration measure that no map predicts

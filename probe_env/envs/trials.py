@@ -1,7 +1,7 @@
 """Trials of probe designs, in sections of constant length or in whole insertions.
 
-Probes are compared over a stretch of tube that follows from the length of the helix: where the sensor gets with the
-longest guide. What a long guide cannot inspect beyond it counts as lost progress.
+Probes are compared over a segment of tube that depends on the length of the helix: the length that the sensor reaches
+with the longest guide. A longer guide inspects less beyond it, which reduces progress.
 """
 
 from __future__ import annotations
@@ -41,48 +41,48 @@ class Controller(Protocol):
 
 @runtime_checkable
 class ModelPredictivePolicy(Protocol):
-    """A policy that tries things out on copies of the probes themselves, which no rig can: what is possible at best."""
+    """Model-predictive control on copies of the simulator; an upper bound for feedback."""
 
     def decide(
         self, episodes: Episodes, which: Sequence[int], observation: npt.NDArray[np.float32], states: Sequence[Any]
     ) -> tuple[npt.NDArray[np.float32], list[Any]]:
-        """Actions (n, 2) and states of the n episodes of ``which``, by their observations (n, d) and states.
+        """Actions (n, 2) and states of the n episodes ``which`` from their observations (n, d) and states.
 
-        The episodes themselves stay as they are; a state of None begins one.
+        The episodes are not changed; the state is None at the start of an episode.
         """
 
 
-class Players:
-    """Policies that act in N episodes side by side, each with the memory of its own episode."""
+class PolicyBatch:
+    """Policies of N episodes, each with its state."""
 
     def __init__(self, count: int) -> None:
         self.controllers: list[Controller | None] = [None] * count
         self.states: list[Any] = [None] * count
 
     def begin(self, k: int, controller: Controller) -> None:
-        """Give episode ``k``, which begins, to a policy."""
+        """Assign a policy to episode ``k`` at its start."""
         self.controllers[k], self.states[k] = controller, None
 
     def act(
         self, observation: npt.NDArray[np.float32], active: BoolArray, episodes: Episodes | None = None
     ) -> npt.NDArray[np.float32]:
-        """Actions (N, 2) for observations (N, d); zero where an episode is not active.
+        """Actions (N, 2) for observations (N, d); 0 for episodes that are not active.
 
-        ``episodes`` are what they act in, for those that look ahead.
+        ``episodes`` is the simulator for model-predictive policies.
         """
         actions = np.zeros((len(self.states), 2), dtype=np.float32)
-        looking: dict[int, list[int]] = {}
+        planning: dict[int, list[int]] = {}
         for k in np.flatnonzero(active).tolist():
             controller, start = self.controllers[k], np.array([self.states[k] is None])
             assert controller is not None
             if isinstance(controller, ModelPredictivePolicy) and episodes is not None:
-                looking.setdefault(id(controller), []).append(k)
+                planning.setdefault(id(controller), []).append(k)
                 continue
             action, self.states[k] = controller.predict(
                 observation[k : k + 1], self.states[k], start, deterministic=True
             )
             actions[k] = action[0]
-        for which in looking.values():
+        for which in planning.values():
             controller = self.controllers[which[0]]
             assert isinstance(controller, ModelPredictivePolicy)
             assert episodes is not None
@@ -93,17 +93,17 @@ class Players:
         return actions
 
 
-def periods_of(
+def rollout(
     episodes: Episodes, policies: Sequence[Controller], observation: npt.NDArray[np.float32]
 ) -> Iterator[tuple[Step, BoolArray]]:
-    """Play what has been reset until it has ended; gives every period and which (N,) were in it.
+    """Run episodes to their end; yields every step and which (N,) episodes were active in it.
 
     Args:
-        episodes: that were reset, all N.
-        policies: N, whose episode is each.
-        observation: (N, d) that the reset gave.
+        episodes: all N were reset.
+        policies: N, one per episode.
+        observation: (N, d) of the reset.
     """
-    players = Players(len(policies))
+    players = PolicyBatch(len(policies))
     for k, policy in enumerate(policies):
         players.begin(k, policy)
     simulated = episodes if isinstance(episodes, Episodes) else None
@@ -115,42 +115,42 @@ def periods_of(
 
 
 SENSOR_START: Final = 2.5
-"""[m] of the sensor from the entrance, where an insertion begins."""
+"""Distance of the sensor from the entrance at the start of an insertion [m]."""
 SPACING: Final = 10.0
-"""[m] between sections, or the nearest that divides the stretch."""
+"""Approximate distance between sections [m]."""
 LEAST_SECTIONS: Final = 3
 
 
-class Stretch(NamedTuple):
-    """Where probes are compared [m]."""
+class TubeSegment(NamedTuple):
+    """Segment of tube over which probes are compared [m]."""
 
     end: float  # greatest distance of the sensor from the entrance
-    positions: tuple[float, ...]  # of the sensor, simulated at constant length
-    widths: tuple[float, ...]  # of the tube that each position stands for
+    positions: tuple[float, ...]  # positions of the sensor, simulated at constant length
+    widths: tuple[float, ...]  # length of tube represented by each position
 
     @property
     def span(self) -> float:
-        """Length of the stretch [m]."""
+        """Length of the segment [m]."""
         return self.end - SENSOR_START
 
 
-def stretch_of(config: TaskConfig) -> Stretch:
-    """The stretch of a task's helix.
+def segment_of(config: TaskConfig) -> TubeSegment:
+    """Segment of the helix of a task.
 
     Raises:
         ValueError: the helix is too short to compare the probes of the design space.
     """
-    return _stretch(config.scene.tube.helix_length, config.lost_drive_from)
+    return _segment(config.scene.tube.helix_length, config.lost_drive_from)
 
 
 @lru_cache
-def _stretch(helix_length: float, lost_drive_from: float) -> Stretch:
+def _segment(helix_length: float, lost_drive_from: float) -> TubeSegment:
     shortest, longest, _ = RANGES["guide_length"]
     end = helix_length - longest
     least = longest + max(lost_drive_from - shortest, SENSOR_START + SPACING)  # so that every probe has a drive margin
     if helix_length < least:
         raise ValueError(
-            f"helix_length = {helix_length:g} m: designs are compared as far as the sensor gets with a guide of"
+            f"helix_length = {helix_length:g} m: designs are compared as far as the sensor reaches with a guide of"
             f" {longest:g} m, and where drive may be lost (lost_drive_from = {lost_drive_from:g} m): it must be at"
             f" least {least:g} m"
         )
@@ -159,74 +159,74 @@ def _stretch(helix_length: float, lost_drive_from: float) -> Stretch:
     middles = [0.5 * (one + other) for one, other in pairwise(positions)]
     edges = (SENSOR_START, *middles, end)
     widths = tuple(high - low for low, high in pairwise(edges))
-    return Stretch(end, positions, widths)
+    return TubeSegment(end, positions, widths)
 
 
-FOUND_KPIS: Final = ("a50_percent_wall", "a90_percent_wall", "length_with_snr_over_3_m", "noise_peak_to_peak_v")
-"""What whole insertions are told by of what would be found, see ``inspection.metrics``."""
+DETECTION_KPIS: Final = ("a50_percent_wall", "a90_percent_wall", "length_with_snr_over_3_m", "noise_peak_to_peak_v")
+"""Detection KPIs of whole insertions, see ``inspection.metrics``."""
 LEAST_SNR: Final = 1e-3
-"""What no signal at all counts as, so that its inverse is finite."""
+"""Lower bound of the signal-to-noise, so that its inverse is finite."""
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """A probe that is tried in a tube."""
+    """A probe to simulate in a tube."""
 
     design: Design
     context: Context
     feed: Schedule | Controller
     """A schedule over inserted length, or for whole insertions a policy."""
     seed: int | None = None
-    """Of the start's perturbation; default: its place among the candidates."""
+    """Seed of the initial perturbation; default: index of the candidate."""
 
 
 @dataclass(frozen=True)
 class Trial:
-    """What N probes did in p places, (N, p) unless it says otherwise; SI units."""
+    """Results of N probes at p positions, (N, p) unless noted; SI units."""
 
-    widths: FloatArray  # length of tube that was inspected there; 0 where the probe did not get to
+    widths: FloatArray  # inspected length; 0 at positions that the probe did not reach
     feed_speed: FloatArray
     air_supply_rate: FloatArray
     radial_rms: FloatArray
     root_tension: FloatArray
-    deep: BoolArray  # whether so much is inserted that lost drive counts
-    failed: Mapping[str, BoolArray]  # (N,) whether it ended so, by each of ``FAILURES``
-    inspected: FloatArray | None = None  # (N,) to the end, where that was simulated
-    noise: FloatArray | None = None  # over the signal of a 20 % groove, where the task is judged by that
-    detection: Mapping[str, FloatArray] = field(default_factory=dict)  # (N,) of each of ``FOUND_KPIS``
+    deep: BoolArray  # whether lost drive is checked at this inserted length
+    failed: Mapping[str, BoolArray]  # (N,) by each of ``FAILURES``
+    inspected: FloatArray | None = None  # (N,) inspected length of whole insertions
+    noise: FloatArray | None = None  # noise over the signal of a 20 % groove, if that is the vibration measure
+    detection: Mapping[str, FloatArray] = field(default_factory=dict)  # (N,) of each of ``DETECTION_KPIS``
 
 
-def seeds_of(candidates: Sequence[Candidate]) -> list[int]:
-    """Of the starts."""
+def start_seeds(candidates: Sequence[Candidate]) -> list[int]:
+    """Seeds of the initial perturbations."""
     return [k if candidate.seed is None else int(candidate.seed) for k, candidate in enumerate(candidates)]
 
 
-JUDGED: Final = ("displacement", "snr")
-"""Vibration measures that designs are judged by."""
+DESIGN_MEASURES: Final = ("displacement", "snr")
+"""Vibration measures accepted for designs."""
 
 
 def check_measure(config: TaskConfig) -> None:
-    """Raise ValueError unless designs can be judged by the task's vibration measure."""
-    if config.vibration_measure not in JUDGED:
+    """Raise ValueError unless the vibration measure of the task is accepted for designs."""
+    if config.vibration_measure not in DESIGN_MEASURES:
         raise ValueError(
-            f"vibration_measure = {config.vibration_measure!r}: designs are judged by {' or '.join(JUDGED)}"
+            f"vibration_measure = {config.vibration_measure!r}: designs are scored by {' or '.join(DESIGN_MEASURES)}"
         )
 
 
-def judge(
+def score_designs(
     designs: Sequence[Design], trial: Trial, config: TaskConfig
 ) -> tuple[dict[str, FloatArray], dict[str, FloatArray]]:
     """Reward terms and KPIs (N,) of designs, by the weights of the insertion task.
 
-    Progress is the length that the sensor sees until the guide's tip is at the end of the helix: a long guide inspects
-    less. Vibration, time and air are of the span that all designs share; what would be found, of what its guide lets a
-    probe inspect.
+    Progress is the length that the sensor inspects until the tip is at the end of the helix: a long guide inspects
+    less. Vibration, time and air are over the segment that all designs share; detection is over the length that the
+    guide allows a probe to inspect.
 
     Raises:
-        ValueError: the task's vibration measure is not one of ``JUDGED``.
+        ValueError: the task's vibration measure is not one of ``DESIGN_MEASURES``.
     """
     check_measure(config)
-    span = stretch_of(config).span
+    span = segment_of(config).span
     guides = np.array([design.built.guide_length for design in designs])
     covered = trial.widths.sum(axis=1)
     missed = np.maximum(span - covered, 0.0)
@@ -257,29 +257,29 @@ def judge(
 
 SETTLE, MEASURE, PERTURBATION = 1.0, 2.0, 1e-7  # [s], [s], [m]
 GENTLE, AIR_LAG = 20.0 / 3600.0, 0.2
-"""[m3/s] a probe at rest starts with at most, and [s] with which the rest follows; as it settles, 99 % has come. All of
-it at once sends a wave through the probe that is twice as high as its tension in the end."""
+"""Greatest air supply at rest [m3/s], and time constant towards the target [s]; 99 % is reached while settling. A step
+to the full supply sends a wave through the probe with twice its final tension."""
 
 
 def try_sections(
     candidates: Sequence[Candidate], config: TaskConfig, fidelity: Fidelity | None = None, threads: int | None = None
 ) -> Trial:
-    """N probes at constant length, the sensor at the positions of the task's stretch, all in one batch.
+    """N probes at constant length, with the sensor at the positions of the task's segment, in one batch.
 
-    From the first section on that diverges or has less than the required tension, nothing counts as inspected.
+    Sections from the first that diverges or has less than the required tension do not count as inspected.
 
     Args:
         candidates: N.
-        config: the task, with the scene that designs and contexts change; its ranges are those of the feed and the air.
-        fidelity: method, step and mesh; there is no time-lapse at constant length.
-        threads: at most so many; default: all cores.
+        config: the task, with the base scene and the ranges of feed and air.
+        fidelity: method, step and mesh; time-lapse is not used at constant length.
+        threads: maximum number of threads; default: all cores.
 
     Raises:
-        ValueError: a policy, or a schedule over time; or a helix that is too short.
+        ValueError: the feed is a policy or a schedule over time, or the helix is too short.
     """
-    fidelity, stretch = fidelity or Fidelity(), stretch_of(config)
-    shape = (len(candidates), len(stretch.positions))
-    scenes, blown = [], []
+    fidelity, segment = fidelity or Fidelity(), segment_of(config)
+    shape = (len(candidates), len(segment.positions))
+    scenes, rates = [], []
     for candidate in candidates:
         if not isinstance(candidate.feed, Schedule) or candidate.feed.over != "inserted_length":
             raise ValueError(
@@ -288,50 +288,51 @@ def try_sections(
             )
         for start, supply in sections_of(candidate.design, candidate.context, candidate.feed, config):
             scenes.append(start)
-            blown.append(supply)
-    air = np.array(blown)
+            rates.append(supply)
+    air = np.array(rates)
     inserted, speed = (
         np.array([getattr(scene, name) for scene in scenes]).reshape(shape)
         for name in ("inserted_length", "feed_speed")
     )
     batch = SimulatorBatch(
         scenes, fidelity.method, fidelity.time_step, fidelity.nodes_per_pitch, threads=threads,
-        seeds=[seed for seed in seeds_of(candidates) for _ in stretch.positions], perturbation=PERTURBATION,
+        seeds=[seed for seed in start_seeds(candidates) for _ in segment.positions], perturbation=PERTURBATION,
         air_lag=AIR_LAG,
     )  # fmt: skip
     settled = batch.advance(None, air, SETTLE, SAMPLE_PERIOD)
-    heard = config.vibration_measure == "snr"
-    window = batch.advance(None, None, MEASURE, SAMPLE_PERIOD, ~settled.diverged, keep_samples=heard)
+    by_snr = config.vibration_measure == "snr"
+    window = batch.advance(None, None, MEASURE, SAMPLE_PERIOD, ~settled.diverged, keep_samples=by_snr)
     diverged = (settled.diverged | window.diverged).reshape(shape)
     rms, tension = (window.statistics[name].reshape(shape) for name in ("radial_rms_m", "tension_mean_n"))
     is_slack = slack(config, tension, inserted) & ~diverged
     reached = np.cumsum(diverged | is_slack, axis=1) == 0
-    widths = np.where(reached, stretch.widths, 0.0)
-    failed = dict.fromkeys(FAILURES, np.zeros(len(candidates), dtype=bool))  # at constant length in two ways alone
+    widths = np.where(reached, segment.widths, 0.0)
+    failed = dict.fromkeys(FAILURES, np.zeros(len(candidates), dtype=bool))  # two are possible at constant length
     failed |= {"lost_drive": np.asarray(is_slack.any(axis=1)), "diverged": np.asarray(diverged.any(axis=1))}
     noise = None
-    if heard:
+    if by_snr:
         assert window.radial is not None
         meter, every = SnrEstimator(config.sensor, len(scenes), SAMPLE_PERIOD), np.arange(len(scenes))
         for second in np.split(window.radial, round(MEASURE / SPAN)):
-            reading = meter.update(every, second, speed.ravel())
-        noise = np.asarray(1.0 / np.maximum(reading.snr, LEAST_SNR)).reshape(shape)
+            estimate = meter.update(every, second, speed.ravel())
+        noise = np.asarray(1.0 / np.maximum(estimate.snr, LEAST_SNR)).reshape(shape)
     deep = drive_counts(config, inserted) & ~diverged
     return Trial(widths, speed, air.reshape(shape), rms, tension, deep, failed, noise=noise)
 
 
 def sections_of(design: Design, context: Context, feed: Schedule, config: TaskConfig) -> list[tuple[Scene, float]]:
-    """Scene at the start and air supply [m3/s] of a design in a tube, for each position of the task's stretch."""
+    """Initial scene and air supply [m3/s] of a design in a tube, for each position of the task's segment."""
     base = config.scene
     probe, tube, sections = design.probe(base.probe), context.apply(base), []
-    for position in stretch_of(config).positions:
+    for position in segment_of(config).positions:
         carrier = round(round(position / probe.float_pitch) * probe.float_pitch, 6)
         inserted = carrier + probe.guide_length
-        fed, blown = config.given(*feed.at(inserted))[0].tolist()
-        room = max(base.tube.helix_length, inserted)  # rounding to the pitch may go some cm beyond
-        update = {"probe": probe, "carrier_length": carrier, "feed_speed": fed, "air_supply_rate": min(blown, GENTLE)}
-        start = tube.model_copy(update={"tube": {"helix_length": room}, **update})
-        sections.append((start, blown))
+        feed_speed, supply = config.feasible(*feed.at(inserted))[0].tolist()
+        length = max(base.tube.helix_length, inserted)  # rounding to the pitch may add some cm
+        update = {"probe": probe, "carrier_length": carrier, "feed_speed": feed_speed}
+        update["air_supply_rate"] = min(supply, GENTLE)
+        start = tube.model_copy(update={"tube": {"helix_length": length}, **update})
+        sections.append((start, supply))
     return sections
 
 
@@ -342,15 +343,15 @@ HARDEST: Final = tuple(
         ("guide_length", "guide_float_diameter", "carrier_float_diameter"),
     )
 )
-"""The stiff, light design that asks for the shortest step and the hardest wall; the one that drag stretches most."""
+"""The stiff, light design, which needs the shortest step and the stiffest wall; and the one with the most drag."""
 
 
 def check_candidate(
     design: Design, context: Context, config: TaskConfig, fidelity: Fidelity, feed: Schedule | None = None
 ) -> None:
-    """Raise ValueError if a design does not fit a tube, or cannot be simulated in it.
+    """Raise ValueError if a design does not fit a tube or cannot be simulated in it.
 
-    ``feed`` is that of sections of constant length; None: whole insertions.
+    ``feed`` is the schedule of sections of constant length; None: whole insertions.
     """
     if feed is None:
         starts = EpisodeSampler(config, (context,), "scene", *settling(config, {}))
@@ -367,66 +368,66 @@ def try_insertions(
     fidelity: Fidelity | str = "standard",
     threads: int | None = None,
 ) -> Trial:
-    """N whole insertions side by side, gathered by metre of the sensor's position; arguments as ``try_sections``.
+    """N whole insertions, averaged per metre of the sensor's position; arguments as in ``try_sections``.
 
     Raises:
-        ValueError: a feed that is no policy with SB3's ``predict``.
+        ValueError: the feed is a schedule, not a policy with SB3's ``predict``.
     """
     policies = []
     for candidate in candidates:
         if isinstance(candidate.feed, Schedule):
-            raise ValueError("feed: a whole insertion is fed by a policy; make one of the schedule")
+            raise ValueError("feed: a whole insertion needs a policy; convert the schedule to one")
         policies.append(candidate.feed)
-    count, stretch = len(candidates), stretch_of(config)
+    count, segment = len(candidates), segment_of(config)
     episodes = Episodes(count, config, threads=threads, allow_standstill=True, fidelity=fidelity)
     designs = [candidate.design.built for candidate in candidates]
     options = {k: {"context": c.context, "probe": designs[k].model_dump()} for k, c in enumerate(candidates)}
-    rngs = {k: np.random.default_rng(seed) for k, seed in enumerate(seeds_of(candidates))}
+    rngs = {k: np.random.default_rng(seed) for k, seed in enumerate(start_seeds(candidates))}
     observation, _ = episodes.reset(range(count), rngs, options)
-    places = int(np.ceil(stretch.span))
+    bins = int(np.ceil(segment.span))
     names = ("travel", "seconds", "air", "square", "noise", "tension", "periods")
-    sums = {name: np.zeros((count, places)) for name in names}
+    sums = {name: np.zeros((count, bins)) for name in names}
     failed = {name: np.zeros(count, dtype=bool) for name in FAILURES}
     guides = np.array([design.guide_length for design in designs])
-    inspected, blown = np.zeros(count), np.zeros(count)
-    for step, active in periods_of(episodes, policies, observation):
+    inspected, air = np.zeros(count), np.zeros(count)
+    for step, active in rollout(episodes, policies, observation):
         before, inspected = inspected, np.array([metrics.inspected for metrics in episodes.scorer.metrics])
-        blown_before, blown = blown, np.array([metrics.air for metrics in episodes.scorer.metrics])
+        air_before, air = air, np.array([metrics.air for metrics in episodes.scorer.metrics])
         for k in np.flatnonzero(active).tolist():
             info = step.infos[k]
             for name, flags in failed.items():
                 flags[k] |= info[name]
             sensor = info["inserted_length"] - guides[k]
-            place = min(int(np.floor(sensor - SENSOR_START - 1e-6)), places - 1)
-            if place >= 0 and sensor <= stretch.end + 0.5 * config.period * info["feed_speed"] and not info["diverged"]:
+            bin_ = min(int(np.floor(sensor - SENSOR_START - 1e-6)), bins - 1)
+            if bin_ >= 0 and sensor <= segment.end + 0.5 * config.period * info["feed_speed"] and not info["diverged"]:
                 travel = info["inspected_length"] - before[k]
-                sums["travel"][k, place] += travel
-                sums["seconds"][k, place] += config.period
-                sums["air"][k, place] += blown[k] - blown_before[k]
-                sums["square"][k, place] += travel * info["radial_rms_m"] ** 2
-                sums["noise"][k, place] += travel / max(info["snr"], LEAST_SNR) ** 2
-                sums["tension"][k, place] += info["tension_mean_n"]
-                sums["periods"][k, place] += 1.0
+                sums["travel"][k, bin_] += travel
+                sums["seconds"][k, bin_] += config.period
+                sums["air"][k, bin_] += air[k] - air_before[k]
+                sums["square"][k, bin_] += travel * info["radial_rms_m"] ** 2
+                sums["noise"][k, bin_] += travel / max(info["snr"], LEAST_SNR) ** 2
+                sums["tension"][k, bin_] += info["tension_mean_n"]
+                sums["periods"][k, bin_] += 1.0
     travel, seconds = np.maximum(sums["travel"], 1e-12), np.maximum(sums["seconds"], 1e-12)
-    seen = sums["periods"] > 0.0
-    # the metres of a whole insertion add up to the span but for a part of a period at each end
-    widths = np.where(seen, sums["travel"], 0.0)
+    visited = sums["periods"] > 0.0
+    # the metres of a whole insertion add up to the span except part of a period at each end
+    widths = np.where(visited, sums["travel"], 0.0)
     covered = widths.sum(axis=1, keepdims=True)
-    widths = np.where(covered > stretch.span - 1.0, widths * stretch.span / np.maximum(covered, 1e-12), widths)
-    # what a probe misses by its guide is not charged to what it finds
+    widths = np.where(covered > segment.span - 1.0, widths * segment.span / np.maximum(covered, 1e-12), widths)
+    # length that the guide excludes is not charged to detection
     tube = config.scene.tube.helix_length
     reach = (tube - guides - SENSOR_START).tolist()
     pairs = zip(episodes.scorer.metrics, reach, strict=True)
-    found = [metrics.detection.kpis(max(metrics.inspected, own), tube) for metrics, own in pairs]
+    found = [metrics.detection.kpis(max(metrics.inspected, length), tube) for metrics, length in pairs]
     return Trial(
         widths=widths,
-        feed_speed=np.where(seen, travel / seconds, 0.0),
-        air_supply_rate=np.where(seen, sums["air"] / seconds, 0.0),
-        radial_rms=np.sqrt(np.where(seen, sums["square"] / travel, 0.0)),
+        feed_speed=np.where(visited, travel / seconds, 0.0),
+        air_supply_rate=np.where(visited, sums["air"] / seconds, 0.0),
+        radial_rms=np.sqrt(np.where(visited, sums["square"] / travel, 0.0)),
         root_tension=sums["tension"] / np.maximum(sums["periods"], 1.0),
-        deep=seen & drive_counts(config, SENSOR_START + np.arange(places) + 1.0 + guides[:, None]),
+        deep=visited & drive_counts(config, SENSOR_START + np.arange(bins) + 1.0 + guides[:, None]),
         failed=failed,
         inspected=inspected,
-        noise=np.sqrt(np.where(seen, sums["noise"] / travel, 0.0)) if config.vibration_measure == "snr" else None,
-        detection={name: np.array([row[name] for row in found]) for name in FOUND_KPIS},
+        noise=np.sqrt(np.where(visited, sums["noise"] / travel, 0.0)) if config.vibration_measure == "snr" else None,
+        detection={name: np.array([row[name] for row in found]) for name in DETECTION_KPIS},
     )

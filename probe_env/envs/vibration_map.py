@@ -1,8 +1,8 @@
-"""Vibration map: radial vibration over inserted length, feed, air and tube, a small network fitted to insertions.
+"""Vibration map: radial vibration by inserted length, feed, air and tube; a small network fitted to insertions.
 
 The probe responds within a second or two to a change of feed or air, so the vibration at a length depends on the feed
-and air there. The map therefore predicts what any schedule would cost in any tube: searches for schedules take seconds,
-a controller that knows the tube can look up its best feed, and agents can train in it (see ``surrogate``).
+and air there. The map therefore predicts the cost of any schedule in any tube: schedules are searched in seconds, a
+controller that knows the tube can look up its best feed, and agents can train on it (see ``surrogate``).
 """
 
 from __future__ import annotations
@@ -26,21 +26,21 @@ from probe_env.physics.model.chain import air_speed
 from probe_env.scene import Scene
 from probe_env.settings import explain
 
-FEEDS: Final = (0.04, 0.4)  # [m/s]; slower ones would take most of the time and ring least
+FEEDS: Final = (0.04, 0.4)  # [m/s]; slower feeds take most of the time and vibrate least
 CONTEXT: Final = ("friction", "contact_stiffness", "drag_factor", "helix_diameter")
 SHIPPED_RANGES: Final = np.array(
     [FRICTION, STIFFNESS, DRAG_FACTOR, (min(HELIX_DIAMETERS), max(HELIX_DIAMETERS))], dtype=float
 ).T
-"""Of the tubes that the shipped map is of."""
+"""Ranges of the tubes of the shipped map."""
 SHAPES: Final = {"ranges": (2, len(CONTEXT)), "scaling": (2, len(CONTEXT) + 3)}
-"""Of what a plant's own map has besides."""
+"""Shapes of the additional arrays in the map of a plant."""
 PROFILED: Final = {"displacement": "radial_rms_m", "snr": "noise_rms_m"}
-"""Vibration measures that a map can tell of, and their columns of a profile [m]."""
+"""Vibration measures that a map can predict, and their columns of a profile [m]."""
 STORED: Final = Path(__file__).parents[1] / "data" / "vibration-map.npz"
 
 
 def feeds(config: TaskConfig) -> tuple[float, float]:
-    """Feed speeds [m/s] that are worth a look: ``FEEDS`` of what table 2's task has, in proportion to its fastest."""
+    """Range of feed speeds [m/s] to search: ``FEEDS`` scaled by the fastest feed of the task."""
     slow, fast = config.feed_speeds
     return max(slow, FEEDS[0] * fast / FEEDS[1]), fast
 
@@ -50,10 +50,10 @@ class VibrationMap:
     """Radial rms of a metre [m] as a log-normal distribution: mean and deviation of its decadic logarithm."""
 
     layers: tuple[tuple[FloatArray, FloatArray], ...]  # weights (inputs, outputs) and biases of three, tanh between
-    scene: Scene = field(default_factory=Scene)  # bore, length, probe and air of its insertions
-    ranges: FloatArray = field(default_factory=lambda: SHIPPED_RANGES)  # (2, 4) of each of ``CONTEXT`` in them
-    scaling: FloatArray | None = None  # (2, 7) centre and spread of its inputs; None: see ``features_of``
-    digest: str = ""  # of its file
+    scene: Scene = field(default_factory=Scene)  # bore, length, probe and air of the insertions
+    ranges: FloatArray = field(default_factory=lambda: SHIPPED_RANGES)  # (2, 4) low and high of each of ``CONTEXT``
+    scaling: FloatArray | None = None  # (2, 7) centre and spread of the inputs; None: see ``features_of``
+    digest: str = ""  # hash of its file
     measure: str = "displacement"  # radial rms, or "snr": the noise in the band of a flaw as radial rms
 
     def __eq__(self, other: object) -> bool:
@@ -72,7 +72,7 @@ class VibrationMap:
             feed: (n,) feed speed [m/s].
             air: (n,) air supply [m3/s].
             context: (n, 4) in the order of ``CONTEXT``, SI units.
-            scene: where; in another bore or air the supply is taken that pulls as strongly here.
+            scene: scene of the prediction; for another bore or air the air supply of equal drag is used.
         """
         inputs = features_of(length, feed, equivalent_air(air, feed, scene, self.scene), context)
         if self.scaling is not None:
@@ -94,7 +94,7 @@ class VibrationMap:
 
         Raises:
             FileNotFoundError: no such file.
-            FileError: not a map: other arrays, or shapes that do not follow on each other.
+            FileError: not a map: other arrays, or shapes that do not match.
         """
         kinds = dict.fromkeys(("scene", "measure"), "U") | dict.fromkeys(SHAPES, "f")
         kinds |= {f"{part}{k}": "f" for part in ("weights", "biases") for k in range(3)}
@@ -107,7 +107,7 @@ class VibrationMap:
                 raise FileError(path, f"layer {k}: not a map of vibration: its arrays are missing or of other shapes")
         layers = tuple((arrays[f"weights{k}"], arrays[f"biases{k}"]) for k in range(3))
         digest = hashlib.sha256(path.read_bytes()).hexdigest()[:16]
-        if "scene" not in arrays:  # of table 2's tubes
+        if "scene" not in arrays:  # table 2's tubes
             return cls(layers, digest=digest)
         for name, shape in SHAPES.items():
             if name not in arrays or arrays[name].shape != shape:
@@ -134,18 +134,18 @@ class VibrationMap:
         return buffer.getvalue()
 
 
-def equivalent_air(air: FloatArray, feed: FloatArray, scene: Scene, known: Scene) -> FloatArray:
-    """Air supply (n,) [m3/s] that pulls a metre of probe in the ``known`` scene as ``air`` does in ``scene``.
+def equivalent_air(air: FloatArray, feed: FloatArray, scene: Scene, reference: Scene) -> FloatArray:
+    """Air supply (n,) [m3/s] with the same drag per metre in the ``reference`` scene as ``air`` has in ``scene``.
 
-    Drag goes with the square of the wind relative to the probe, (10), which is fed at ``feed`` (n,) [m/s].
+    Drag is proportional to the square of the air speed relative to the probe, (10), which moves at ``feed`` (n,) [m/s].
     """
-    if all(getattr(scene, name) == getattr(known, name) for name in ("air", "probe")) and (
-        scene.tube.inner_diameter == known.tube.inner_diameter
+    if all(getattr(scene, name) == getattr(reference, name) for name in ("air", "probe")) and (
+        scene.tube.inner_diameter == reference.tube.inner_diameter
     ):
         return air
     wind = air * air_speed(scene, 1.0) - feed
-    stronger = np.sqrt(drag_per_metre(scene) / drag_per_metre(known))
-    return np.asarray((feed + wind * stronger) / air_speed(known, 1.0))
+    factor = np.sqrt(drag_per_metre(scene) / drag_per_metre(reference))
+    return np.asarray((feed + wind * factor) / air_speed(reference, 1.0))
 
 
 @lru_cache
@@ -155,7 +155,7 @@ def stored_map() -> VibrationMap:
 
 
 def features_of(length: FloatArray, feed: FloatArray, air: FloatArray, context: FloatArray) -> FloatArray:
-    """(n, 7) inputs of the map, each within some -2 to 2; arguments as ``VibrationMap.predict``."""
+    """(n, 7) inputs of the map, each about -2 to 2; arguments as in ``VibrationMap.predict``."""
     return np.column_stack(
         [
             length / 30.0 - 1.0,
@@ -184,19 +184,19 @@ def expected_cost(
 
 
 def rms_limit(config: TaskConfig) -> float:
-    """The limit of the task as what a map tells of, a radial rms [m].
+    """Vibration limit of the task as a radial rms [m], the output of a map.
 
     Raises:
-        ValueError: a vibration measure that maps do not tell of.
+        ValueError: maps do not predict the vibration measure.
     """
     if config.vibration_measure not in PROFILED:
-        raise ValueError(f"vibration_measure = {config.vibration_measure!r}: maps know {' and '.join(PROFILED)} only")
+        raise ValueError(f"vibration_measure = {config.vibration_measure!r}: maps are of {' and '.join(PROFILED)} only")
     as_rms = config.sensor.equivalent_rms(np.array(config.limit))
     return float(as_rms) if config.vibration_measure == "snr" else config.limit
 
 
 def check_measure(vibration: VibrationMap, config: TaskConfig) -> None:
-    """Raise ValueError where a map tells of something else than the task's vibration measure."""
+    """Raise ValueError if a map predicts another vibration measure than the task's."""
     if config.vibration_measure in PROFILED and vibration.measure != config.vibration_measure:
         raise ValueError(
             f"vibration_measure = {config.vibration_measure!r}, but the map is of {vibration.measure}: make one of"
@@ -205,18 +205,18 @@ def check_measure(vibration: VibrationMap, config: TaskConfig) -> None:
 
 
 def load_for(path: Path, plant: str, scene: Scene) -> VibrationMap:
-    """The map in a file, if it was made of the tubes and the probe of a scene; ``plant`` is its name for errors.
+    """Load a map that was made for the tubes and probe of a scene; ``plant`` is its name in error messages.
 
     Raises:
         FileNotFoundError: no such file.
-        FileError: the map is damaged, or of another bore, length, probe or air.
+        FileError: the map is damaged, or made for another bore, length, probe or air.
     """
-    known, remedy = VibrationMap.load(path), "make it again with `probe-env study vibration-map`"
+    vibration, remedy = VibrationMap.load(path), "make it again with `probe-env study vibration-map`"
     for name in ("inner_diameter", "helix_length"):
-        before, now = getattr(known.scene.tube, name), getattr(scene.tube, name)
+        before, now = getattr(vibration.scene.tube, name), getattr(scene.tube, name)
         if before != now:
-            raise FileError(path, f"{name} = {before!r} m, and {plant} says {now!r} m: {remedy}")
+            raise FileError(path, f"{name} = {before!r} m, and {plant} has {now!r} m: {remedy}")
     for name in ("probe", "air"):
-        if getattr(known.scene, name) != getattr(scene, name):
+        if getattr(vibration.scene, name) != getattr(scene, name):
             raise FileError(path, f"made for another [{name}] than {plant} has now: {remedy}")
-    return known
+    return vibration

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
 import numpy as np
 from scipy.stats import normaltest
@@ -36,7 +36,7 @@ LEAST_TESTED: Final = 20
 MIDDLE: Final = slice(3 * COUNT // 8, 5 * COUNT // 8)
 """Part of the last second in the histogram: the filter wraps around at the ends."""
 POD_NAMES: Final = tuple(f"pod_at_{100.0 * depth:.3g}_percent_wall" for depth in DEPTHS)
-"""KPIs: POD at each of ``DEPTHS``."""
+"""Columns of tables: the probability of detection at each of ``DEPTHS``."""
 
 
 @dataclass
@@ -91,16 +91,22 @@ class DetectionMetrics:
         snr = snr_at(self.sensor, np.array(self.snr))
         return pod_gaussian(snr, z) if self.gaussian else pod_empirical(snr, z, np.array(self.shares), self.counts)
 
-    def kpis(self, length: float, tube_length: float) -> dict[str, float]:
-        """KPIs by name, depths in % of the wall; of ``length`` [m], with the false calls of ``tube_length`` [m]."""
+    def kpis(self, length: float, tube_length: float) -> dict[str, Any]:
+        """Figures by name; ``length`` is all that was to be inspected [m], depths are in % of the wall.
+
+        ``tube_length`` [m] is what false calls are counted over.
+        """
         z, lengths = self.threshold(tube_length), np.array(self.lengths)
         return detection_kpis(lengths, np.array(self.snr), np.array(self.peaks), self.pod(z), length, z, self.gaussian)
 
 
 def detection_kpis(
     lengths: FloatArray, snr: FloatArray, peaks: FloatArray, pod: FloatArray, length: float, z: float, gaussian: bool
-) -> dict[str, float]:
-    """KPIs by name of n intervals with POD (n, d); ``length`` [m] was to be inspected, z is the threshold."""
+) -> dict[str, Any]:
+    """KPIs by name, of n places with their POD (n, d); ``length`` was to be inspected [m], z is the threshold.
+
+    All are numbers but "pod": the probability of detection (d,) at ``DEPTHS``, mean over the length.
+    """
     inspected, mean = float(lengths.sum()), np.zeros(len(DEPTHS))
     if len(lengths) and length > 0.0:  # the POD of length that was not inspected is 0
         # a plain sum: the rounding of a matrix product depends on the alignment of its arrays
@@ -112,8 +118,14 @@ def detection_kpis(
         "noise_peak_to_peak_v": float((lengths * peaks).sum()) / inspected if inspected > 0.0 else 0.0,
         "noise_gaussian": float(gaussian),
         "call_threshold": z,
-        **dict(zip(POD_NAMES, map(float, mean), strict=True)),
+        "pod": mean,
     }
+
+
+def with_pod_columns(kpis: Mapping[str, Any]) -> dict[str, float]:
+    """KPIs of an episode as numbers by column: the array "pod" becomes a column for each of ``POD_NAMES``."""
+    numbers = {name: value for name, value in kpis.items() if name != "pod"}
+    return numbers | dict(zip(POD_NAMES, kpis["pod"].tolist(), strict=True)) if "pod" in kpis else numbers
 
 
 TURN: Final = 6.0
@@ -142,8 +154,8 @@ class RoundTripMetrics:
             self._ends[segment].append((low, high))
             self.segments[segment].add(high - low, signal)
 
-    def kpis(self, length: float, tube_length: float) -> dict[str, float]:
-        """As ``DetectionMetrics.kpis``; S/N and peaks are those of the better pass at each position."""
+    def kpis(self, length: float, tube_length: float) -> dict[str, Any]:
+        """As ``DetectionMetrics.kpis``; of both passes S/N and peaks are those of the better one at each place."""
         inspected = {segment: metrics for segment, metrics in self.segments.items() if metrics.lengths}
         thresholds = {segment: metrics.threshold(tube_length) for segment, metrics in inspected.items()}
         passes = [self._intervals(SEGMENTS[direction], thresholds) for direction in ("in", "back")]

@@ -1,4 +1,4 @@
-"""Registered environments, and the fidelity that each has by name, by default and as settings."""
+"""Registered environments, and their fidelity by name, by default and as settings."""
 
 from typing import get_args, get_type_hints
 
@@ -12,9 +12,9 @@ from probe_env.fidelity import PRESETS, ROUND_TRIP_PRESETS
 INSPECTION = "probe_env/Inspection-v0"
 
 
-def fidelities(env_id, **given):
-    """Of the single environment, of Gymnasium's batch and of SB3's."""
-    envs = gym.make(env_id, **given), gym.make_vec(env_id, num_envs=2, **given), ProbeVecEnv(env_id, 2, **given)
+def fidelities(env_id, **options):
+    """Fidelity of the single environment, of Gymnasium's batch and of SB3's."""
+    envs = gym.make(env_id, **options), gym.make_vec(env_id, 2, **options), ProbeVecEnv(env_id, 2, **options)
     return [env.unwrapped.episodes.fidelity for env in envs]
 
 

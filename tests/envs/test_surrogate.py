@@ -1,4 +1,4 @@
-"""Fidelity "surrogate": the task's own numbers, equal alone and in company, and as loud as the map says."""
+"""Fidelity "surrogate": rewards of the task, batches equal to single probes, and vibration of the map."""
 
 from pathlib import Path
 
@@ -24,14 +24,14 @@ QUIET = Noise()
 TUBE = Context(friction=0.18, helix_diameter=1.4)
 
 
-def begun(count, config=CONFIG, **given):
-    episodes = SurrogateEpisodes(count, config, **given)
+def started(count, config=CONFIG, **settings):
+    episodes = SurrogateEpisodes(count, config, **settings)
     rngs = {k: np.random.default_rng(k) for k in range(count)}
     episodes.reset(range(count), rngs, {k: {"context": TUBE} for k in range(count)})
     return episodes
 
 
-def test_its_environment_is_that_of_a_simulated_insertion():
+def test_spaces_and_infos_are_those_of_a_simulated_insertion():
     env = gym.make("probe_env/Insertion-v1", fidelity="surrogate", contexts="train").unwrapped
     check_env(env, skip_render_check=True)
     simulated = gym.make("probe_env/Insertion-v1", contexts="train")
@@ -45,7 +45,7 @@ def test_its_environment_is_that_of_a_simulated_insertion():
     assert infos[0]["reward_terms"]["air"] == pytest.approx(infos[1]["reward_terms"]["air"], rel=1e-6)
 
 
-def test_batches_take_it_by_either_name_and_start_ended_episodes_again():
+def test_batches_accept_either_name_and_restart_ended_episodes():
     assert resolve_fidelity("map") == resolve_fidelity("surrogate") == PRESETS["surrogate"]
     vector = gym.make_vec("probe_env/Insertion-v1", num_envs=2, fidelity="map")
     assert isinstance(vector.unwrapped.episodes, SurrogateEpisodes)
@@ -65,13 +65,13 @@ def test_batches_take_it_by_either_name_and_start_ended_episodes_again():
     assert batch.kernel_seconds == 0.0
 
 
-def test_probes_are_alike_alone_and_in_company():
-    many, actions = begun(3), np.random.default_rng(1).uniform(-1.0, 1.0, (40, 3, 2))
+def test_a_batch_equals_single_probes():
+    many, actions = started(3), np.random.default_rng(1).uniform(-1.0, 1.0, (40, 3, 2))
     alone = SurrogateEpisodes(1, CONFIG)
     alone.reset([0], {0: np.random.default_rng(2)}, {0: {"context": TUBE}})
     for action in actions:
         together, single = many.step(action), alone.step(action[2:])
-        # a matrix product of three rows rounds otherwise than one of one, and nothing here makes more of that
+        # a matrix product of three rows is rounded differently from one of one row; nothing amplifies it
         np.testing.assert_allclose(together.observation[2], single.observation[0], rtol=1e-6)
         assert together.reward[2] == pytest.approx(single.reward[0], rel=1e-9, abs=1e-12)
     some = many.step(actions[0], np.array([True, False, True]))
@@ -81,24 +81,24 @@ def test_probes_are_alike_alone_and_in_company():
 
 
 def test_without_noise_it_is_the_map_and_the_closed_form():
-    episodes = begun(1, noise=QUIET)
+    episodes = started(1, noise=QUIET)
     action = CONFIG.actions(np.array([0.2]), np.array([0.02]))
     for _ in range(60):
         step = episodes.step(action)
     info = step.infos[0]
     assert info["feed_speed"] == pytest.approx(0.2)
     tubes = np.array([[TUBE.friction, TUBE.contact_stiffness, TUBE.drag_factor, TUBE.helix_diameter]])
-    inputs = [np.array([info[name]]) for name in ("inserted_length", "feed_speed", "air_supply_rate")]
-    mean = stored_map().predict(*inputs, tubes, CONFIG.scene)[0][0]
+    drive = [np.array([info[name]]) for name in ("inserted_length", "feed_speed", "air_supply_rate")]
+    mean = stored_map().predict(*drive, tubes, CONFIG.scene)[0][0]
     assert info["radial_rms_m"] == pytest.approx(1e-4 * 10.0**mean)
-    seen = dict(zip(("inserted_length", "feed_speed", "air_supply_rate"), inputs, strict=True))
-    pulled = sliding_tension(np.array([TUBE.friction]), seen | {"helix_diameter": tubes[:, 3]}, CONFIG.scene)
+    state = dict(zip(("inserted_length", "feed_speed", "air_supply_rate"), drive, strict=True))
+    pulled = sliding_tension(np.array([TUBE.friction]), state | {"helix_diameter": tubes[:, 3]}, CONFIG.scene)
     assert info["tension_mean_n"] == pytest.approx(pulled[0] * TUBE.drag_factor)
 
 
 def test_feed_follows_its_ramp_and_air_its_lag():
     config = TaskConfig(ramp=0.1, air_lag=2.0)
-    episodes = begun(1, config, noise=QUIET)
+    episodes = started(1, config, noise=QUIET)
     air, length = episodes.air[0], episodes.inserted_length[0]
     episodes.step(config.actions(np.array([0.35]), np.array([0.03])))
     assert episodes.feed[0] == pytest.approx(0.3)
@@ -109,7 +109,7 @@ def test_feed_follows_its_ramp_and_air_its_lag():
     assert episodes.inserted_length[0] - length == pytest.approx(0.35 - 0.5 * 0.05**2 / 0.1, abs=5e-4)
 
 
-def test_scatter_is_stationary_and_correlated_as_it_says():
+def test_scatter_has_its_deviation_and_correlation():
     """20,000 steps of 100 series: Bartlett's scatter is 0.1 % of the deviation and 0.0003 of the correlation."""
     rng, scatter, values = np.random.default_rng(0), Scatter(deviation=0.2, correlation=0.9), []
     value = scatter.deviation * rng.normal(size=100)
@@ -121,8 +121,8 @@ def test_scatter_is_stationary_and_correlated_as_it_says():
     assert np.mean(series[1:] * series[:-1]) / series.var() == pytest.approx(0.9, abs=0.002)
 
 
-def test_a_whole_insertion_earns_the_task_s_terms():
-    episodes, total, terms = begun(1, noise=QUIET), 0.0, 0.0
+def test_kpis_of_a_whole_insertion_are_sums_of_its_steps():
+    episodes, total, terms = started(1, noise=QUIET), 0.0, 0.0
     action = CONFIG.actions(np.array([0.4]), np.array([0.02])).astype(np.float32)
     while episodes.running.any():
         step = episodes.step(action)
@@ -141,9 +141,9 @@ def test_a_whole_insertion_earns_the_task_s_terms():
 REFUSED = [
     ({"probes": "random"}, {}, "without probes = 'random'"),
     ({}, {"friction": 0.5}, "friction = 0.5 is outside the map's range 0.1 to 0.25"),
-    ({}, {"probe": {"line_density": 0.09}}, "probe: the map is of another one"),
+    ({}, {"probe": {"line_density": 0.09}}, "probe: the map is of another probe"),
     ({"config": {"growing": False}}, {}, "without growing = False"),
-    ({"config": {"vibration_measure": "velocity"}}, {}, "vibration_measure = 'velocity': maps know"),
+    ({"config": {"vibration_measure": "velocity"}}, {}, "vibration_measure = 'velocity': maps are of"),
     ({"config": {"vibration_measure": "snr"}}, {}, "vibration_measure = 'snr', but the map is of displacement"),
     ({"config": {"friction_drift": 0.1}}, {}, "without friction_drift"),
     ({"config": {"sensor_dropout": 0.1}}, {}, "without sensor_dropout"),
@@ -152,38 +152,38 @@ REFUSED = [
 ]
 
 
-def test_what_the_map_does_not_predict_is_refused_by_name():
+def test_tasks_and_tubes_outside_the_map_are_named():
     for settings, options, message in REFUSED:
-        given = dict(settings)
-        config = TaskConfig.model_validate(given.pop("config", {}))
+        arguments = dict(settings)
+        config = TaskConfig.model_validate(arguments.pop("config", {}))
         with pytest.raises(ValueError, match=message):
-            SurrogateEpisodes(1, config, **given).reset([0], {0: np.random.default_rng(0)}, {0: options})
+            SurrogateEpisodes(1, config, **arguments).reset([0], {0: np.random.default_rng(0)}, {0: options})
 
 
-def test_other_environments_pictures_and_looking_ahead_are_refused():
+def test_other_environments_rendering_and_planning_are_refused():
     refused = {
         "Snapshot-v1": "Insertion-v1\\), without growing = False",
         "Inspection-v0": "Insertion-v1\\), without passes = 'both'",
-        "Design-v1": "fidelity = 'surrogate' is for Insertion-v1 alone",
+        "Design-v1": "fidelity = 'surrogate' is for Insertion-v1 only",
     }
     for name, message in refused.items():
         with pytest.raises(ValueError, match=message):
             gym.make(f"probe_env/{name}", fidelity="surrogate")
-    with pytest.raises(ValueError, match="simulates no motion to draw"):
+    with pytest.raises(ValueError, match="simulates no motion to render"):
         gym.make("probe_env/Insertion-v1", fidelity="surrogate", render_mode="rgb_array")
     with pytest.raises(ValueError, match=r"time_step: not accepted, method = 'surrogate' does not"):
         Fidelity(method="surrogate", time_step=1e-4)
     case = case_of(None, "test", 1)
     planner = named_policies(("planner",), case.config.full_observation)
-    with pytest.raises(ValueError, match="no simulator for a policy to look ahead with"):
+    with pytest.raises(ValueError, match="no simulator for planning"):
         run_plan(Plan(planner, case.contexts, (0,), case.config.full_observation, PRESETS["surrogate"]), None)
 
 
-def test_a_plant_is_predicted_by_the_map_beside_its_file():
+def test_a_plant_uses_the_map_next_to_its_file():
     env = gym.make("probe_env/Insertion-v1", fidelity="surrogate", tube="configs/tubes/snr.toml")
     episodes = env.unwrapped.episodes
-    own = load_case(Path("snr"), "test", 1).vibration
-    assert episodes.map == own != stored_map()
+    expected = load_case(Path("snr"), "test", 1).vibration
+    assert episodes.map == expected != stored_map()
     env.reset(seed=0)
     info = env.step(env.action_space.sample())[4]
     assert info["noise_rms_m"] == info["radial_rms_m"]  # the map is of the noise in a flaw's band

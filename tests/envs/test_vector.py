@@ -15,7 +15,7 @@ CASES = {
     "probe_env/Snapshot-v1": {"config": {"time_limit": 0.5}, "scene": probe_env.Scene(carrier_length=8.0)},
     "probe_env/Inspection-v0": {
         "config": {"period": 0.1, "time_limit": 0.5, "settle_time": 0.1},
-        "scene": {"tube": {"helix_length": 5.1}},  # turned round within the five steps
+        "scene": {"tube": {"helix_length": 5.1}},  # it turns within the five steps
         "fidelity": "fast",
     },
 }
@@ -33,24 +33,25 @@ LIMITS = pytest.mark.parametrize("limit", [{}, {"max_episode_steps": 3}], ids=["
 @LIMITS
 @pytest.mark.parametrize("mode", list(AutoresetMode))
 def test_the_native_batch_conforms(env_id, mode, limit):
-    given = CASES[env_id] | limit
+    settings = CASES[env_id] | limit
     check_vector_env(
-        lambda n: gym.make_vec(env_id, num_envs=n, **given, autoreset_mode=mode), lambda: gym.make(env_id, **given)
+        lambda n: gym.make_vec(env_id, num_envs=n, **settings, autoreset_mode=mode),
+        lambda: gym.make(env_id, **settings),
     )
 
 
 @IDS
 @LIMITS
 def test_the_sb3_batch_conforms(env_id, limit):
-    given = CASES[env_id] | limit
-    check_vector_env(lambda n: ProbeVecEnv(env_id, n, **given), lambda: gym.make(env_id, **given))
+    settings = CASES[env_id] | limit
+    check_vector_env(lambda n: ProbeVecEnv(env_id, n, **settings), lambda: gym.make(env_id, **settings))
 
 
 class Broken(ProbeVecEnv):
     """A batch with a fault."""
 
-    def __init__(self, fault, *arguments, **given):
-        super().__init__(*arguments, **given)
+    def __init__(self, fault, *arguments, **settings):
+        super().__init__(*arguments, **settings)
         self.fault, self.buffer = fault, None
 
     def step_wait(self):
@@ -83,7 +84,7 @@ def test_broken_batches_are_found():
 
 
 def test_truncation_reaches_ppo_s_bootstrap():
-    """In the rewards of one rollout: with PPO's value of the last observation where an episode is cut."""
+    """Rewards of a rollout contain PPO's value of the last observation of a truncated episode."""
     rewards = []
     for fault in ("", "terminated of step"):
         env = Broken(fault, "probe_env/Snapshot-v1", 2, **CASES["probe_env/Snapshot-v1"])
@@ -104,10 +105,10 @@ def test_make_vec_options_and_refusals():
         ProbeVecEnv(num_envs=0)
     with pytest.raises(ValueError, match="max_episode_steps = 0"):
         ProbeVecEnv(max_episode_steps=0)
-    with pytest.raises(
-        TypeError, match=r"Episodes\(\) has no argument fidelty; accepted are tube, scene, fidelity, contexts"
-    ):
-        ProbeVecEnv(fidelty="fast")
+    for what, make in (("gym.make", gym.make), ("gym.make_vec", gym.make_vec), ("ProbeVecEnv", ProbeVecEnv)):
+        message = rf"{what}\(\) has no argument fidelty; accepted are config, tube, .*; the closest: fidelity"
+        with pytest.raises(TypeError, match=message):
+            make("probe_env/Snapshot-v1", fidelty="fast")
     env = gym.make_vec("probe_env/Snapshot-v1", num_envs=2, **CASES["probe_env/Snapshot-v1"])
     with pytest.raises(ValueError, match="seed has 3 entries for 2"):
         env.reset(seed=[1, 2, 3])

@@ -21,7 +21,7 @@ from probe_env.inspection.detection import (
     snr_at,
     threshold,
 )
-from probe_env.inspection.metrics import POD_NAMES, DetectionMetrics
+from probe_env.inspection.metrics import DetectionMetrics
 from probe_env.inspection.sensor import Sensor
 from probe_env.inspection.snr import COUNT, FREQUENCY, FilteredSignal, SnrEstimator
 
@@ -91,7 +91,7 @@ def test_an_episode_is_averaged_over_its_length():
     z = threshold(SENSOR, 60.0)
     kpis = detection_of([2.0, 8.0], [27.0, 27.0]).kpis(60.0, 60.0)
     curve = 0.45 * sum(pod_gaussian(snr_at(SENSOR, np.array([snr])), z)[0] for snr in (2.0, 8.0))
-    assert [value for name, value in kpis.items() if name.startswith("pod_at")] == pytest.approx(curve, rel=1e-12)
+    assert kpis["pod"] == pytest.approx(curve, rel=1e-12)
     assert kpis["length_with_snr_over_3_m"] == 27.0
     assert kpis["noise_peak_to_peak_v"] == 0.5
     assert kpis["a90_percent_wall"] == pytest.approx(100.0, abs=0.2)  # of what was inspected all: a hole
@@ -135,7 +135,7 @@ def test_the_formula_agrees_with_10000_flaws(seeds):
             for k in range(members):
                 detection.add(1.0, estimator.last(k))
     kpis, z = detection.kpis(float(sum(detection.lengths)), 60.0), detection.threshold(60.0)
-    curve = np.array([kpis[name] for name in POD_NAMES])
+    curve = kpis["pod"]
     motion, spectrum = np.concatenate(traces), np.concatenate(spectra)
     rng = np.random.default_rng(seeds(1)[0])
     second, depth = rng.integers(len(motion), size=flaws), np.exp(rng.uniform(math.log(0.05), 0.0, flaws))

@@ -33,7 +33,7 @@ def test_a_plant_carries_its_sensor_to_the_task():
     assert plant.configured().sensor == Sensor(quiet_snr=6.0, flaw_width=0.03)
     assert plant.configured(changes={"sensor": Sensor()}).sensor == Sensor()
     assert Plant().configured().sensor == TaskConfig().sensor == Sensor()
-    with pytest.raises(ValueError, match=r"task.sensor: stands in \[sensor\]"):
+    with pytest.raises(ValueError, match=r"task.sensor: belongs in \[sensor\]"):
         Plant(task={"sensor": {}})
 
 

@@ -14,7 +14,7 @@ from agents.policies.catalogue import make_policy
 from agents.policies.on_map import LEAST_AIR, best_schedule_for, knots, least_air
 from agents.policies.policy import Domain, OutsideDomain, ranges_of
 from probe_env import Context, Plant, Scene
-from probe_env.envs.plants import map_beside
+from probe_env.envs.plants import map_file
 from probe_env.envs.task import TaskConfig
 from probe_env.envs.vibration_map import VibrationMap, equivalent_air, stored_map
 from probe_env.physics.closed_forms import steady_root_tension
@@ -122,22 +122,22 @@ def small(tmp_path_factory):
     plant, known = Plant.from_toml(file), stored_map()
     ranges = np.array([[0.1, 7e4, 0.9, 0.8], [0.25, 1.4e5, 1.1, 0.8]])
     scaling = np.array([np.zeros(7), np.ones(7)])
-    map_beside(file).write_bytes(VibrationMap(known.layers, plant.scene, ranges, scaling).to_bytes())
+    map_file(file).write_bytes(VibrationMap(known.layers, plant.scene, ranges, scaling).to_bytes())
     return file
 
 
 def test_a_map_is_found_beside_the_file_of_its_tubes_and_one_of_another_tube_is_refused(small, tmp_path):
     case = load_case(small, "test", 6)
-    assert map_beside(small).name == "small-map.npz"
+    assert map_file(small).name == "small-map.npz"
     assert case.vibration.scene == Plant.from_toml(small).scene
-    assert case.vibration == VibrationMap.load(map_beside(small)) != stored_map()
+    assert case.vibration == VibrationMap.load(map_file(small)) != stored_map()
     policy = make_policy("tension-scheduled", case.config.full_observation, case.vibration)
     assert policy.domain.outside(case.config, case.contexts) == []
     file, text = tmp_path / "small.toml", small.read_text()
-    map_beside(file).write_bytes(map_beside(small).read_bytes())
+    map_file(file).write_bytes(map_file(small).read_bytes())
     for changed, message in (
-        (text.replace("23e-3", "24e-3"), r"small-map.npz: inner_diameter = 0.023 m, and small.toml says 0.024 m"),
-        (text.replace("7.0", "7.5"), r"helix_length = 7.0 m, and small.toml says 7.5 m: make it again"),
+        (text.replace("23e-3", "24e-3"), r"small-map.npz: inner_diameter = 0.023 m, and small.toml has 0.024 m"),
+        (text.replace("7.0", "7.5"), r"helix_length = 7.0 m, and small.toml has 7.5 m: make it again"),
         (text + "[air]\ndensity = 1.3\n", r"made for another \[air\]"),
         (text + "[probe]\nline_density = 0.12\n", r"made for another \[probe\]"),
     ):

@@ -25,7 +25,7 @@ from agents.policies.planner import (
 from probe_env import Context, Scene
 from probe_env.arrays import FloatArray
 from probe_env.envs.episodes import Episodes
-from probe_env.envs.task import Inspects, TaskConfig, uninspected_weight
+from probe_env.envs.task import ScoredPass, TaskConfig, uninspected_weight
 from probe_env.envs.vibration_map import CONTEXT, expected_cost, stored_map
 from probe_env.fidelity import ROUND_TRIP_PRESETS, resolve_fidelity
 
@@ -53,7 +53,7 @@ def running(
     return episodes
 
 
-def task(inspects: Inspects = "best", measure: str = "displacement", **changes: object) -> TaskConfig:
+def task(inspects: ScoredPass = "best", measure: str = "displacement", **changes: object) -> TaskConfig:
     """Both ways in a short helix."""
     scene = {"carrier_length": 2.5, "tube": {"helix_length": LENGTH}}
     return TaskConfig(passes="both", inspects=inspects, vibration_measure=measure, scene=scene, **changes)
@@ -74,8 +74,8 @@ def test_what_is_held_and_the_suggestion_are_tried_and_draws_depend_on_nothing_b
         suggested = np.column_stack([np.full(2, 0.4), held[:, 1]]) if both else mapped
         tried = drawn([0, 1], 41)
         assert tried.shape == (2, 41, 2)
-        np.testing.assert_allclose(tried[:, 0], config.given(*held.T), rtol=1e-6)
-        np.testing.assert_allclose(tried[:, 1], config.given(*suggested.T), rtol=1e-6)
+        np.testing.assert_allclose(tried[:, 0], config.feasible(*held.T), rtol=1e-6)
+        np.testing.assert_allclose(tried[:, 1], config.feasible(*suggested.T), rtol=1e-6)
         for column, (step, (low, high)) in enumerate(ranges):
             values = tried[..., column]
             assert low <= values.min() <= values.max() <= high
@@ -234,7 +234,7 @@ def rest(episodes: Episodes, feed: float = 0.4, air: float = 30.0 / 3600.0) -> F
 
 
 @pytest.mark.parametrize(("inspects", "measure"), [("best", "displacement"), ("back", "snr")])
-def test_copies_of_an_episode_do_as_it_does(inspects: Inspects, measure: str) -> None:
+def test_copies_of_an_episode_do_as_it_does(inspects: ScoredPass, measure: str) -> None:
     """From the way in over the turn to the end: every observation, reward and ending, to the last bit."""
     config = task(inspects, measure, sensor_dropout=0.3, delay_periods=1)
     episodes = begun(config)
@@ -259,7 +259,7 @@ def test_copies_of_an_episode_do_as_it_does(inspects: Inspects, measure: str) ->
 
 
 @pytest.mark.parametrize("inspects", ["best", pytest.param("back", marks=pytest.mark.slow)])
-def test_no_episode_earns_more_than_the_rest_is_worth(inspects: Inspects) -> None:
+def test_no_episode_earns_more_than_the_rest_is_worth(inspects: ScoredPass) -> None:
     """At every period of inspections that are fast and quiet, and shaken by their feed."""
     config = task(inspects)
     rng = np.random.default_rng(5)

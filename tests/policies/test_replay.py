@@ -10,7 +10,7 @@ from agents.policies.fixed import Replayed, Scheduled
 from agents.records.shipped import file_or_shipped
 from probe_env import Context, TaskConfig
 from probe_env.envs.episodes import Episodes
-from probe_env.envs.trials import Players
+from probe_env.envs.trials import PolicyBatch
 from probe_env.fidelity import PRESETS
 from probe_env.schedule import Schedule
 
@@ -153,7 +153,7 @@ def test_the_example_log_is_followed_in_an_episode(tmp_path):
     path.write_text(log.to_csv())
     config = TaskConfig()
     policy = make_policy(str(path), config)
-    episodes, players = Episodes(1, config, fidelity="fast", threads=1, allow_standstill=True), Players(1)
+    episodes, players = Episodes(1, config, fidelity="fast", threads=1, allow_standstill=True), PolicyBatch(1)
     observation, _ = episodes.reset([0], {0: np.random.default_rng(0)}, {0: {"context": Context(friction=0.2)}})
     players.begin(0, policy)
     time, length, speed = [], [], []

@@ -257,5 +257,5 @@ def test_a_map_keeps_its_measure_and_one_of_millimetres_is_not_asked_for_noise(t
     assert np.isfinite(expected_costs(tube, SNR, vibration=constant_map(-0.3, 0.01, "snr"))).all()
     with pytest.raises(ValueError, match="but the map is of displacement"):
         run_search("best-constant", 16, Request(tmp_path), stored_map(), plant_at("snr"))
-    with pytest.raises(ValueError, match="vibration_measure = 'velocity': maps know displacement and snr only"):
+    with pytest.raises(ValueError, match="vibration_measure = 'velocity': maps are of displacement and snr only"):
         expected_costs(tube, TaskConfig(vibration_measure="velocity"), vibration=stored_map())

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from agents.cli import main
-from agents.policies.cases import load_case, map_beside
+from agents.policies.cases import load_case, map_file
 from agents.studies.builtin import Request
 from agents.studies.shipped import vibration_map as maker
 from agents.studies.shipped.vibration_map import SEGMENT, SMEARED, fit_map
@@ -56,8 +56,8 @@ def test_a_tube_of_your_own_has_its_map_and_schedules(tmp_path: Path, monkeypatc
     monkeypatch.setitem(maker.SPLIT_SIZES, "train", maker.HELD_OUT + 4)  # type: ignore[misc]
     file = tmp_path / "small.toml"
     file.write_text("[tube]\nhelix_diameter = 0.8\nhelix_length = 7.0\ninner_diameter = 23e-3\n")
-    assert maker.run(Request(tmp_path / "map", trials=1, tube=file)) == map_beside(file)
-    case, loaded = load_case(file, "test", 6), VibrationMap.load(map_beside(file))
+    assert maker.run(Request(tmp_path / "map", trials=1, tube=file)) == map_file(file)
+    case, loaded = load_case(file, "test", 6), VibrationMap.load(map_file(file))
     assert case.vibration == loaded
     assert loaded.scene == Plant.from_toml(file).scene
     assert loaded.digest != stored_map().digest

@@ -74,7 +74,7 @@ def rounded_numbers(config: TaskConfig, numbers: Numbers) -> dict[str, float]:
     rounded: dict[str, float] = {}
     for columns in (INSERTION, WITHDRAWAL):
         targets = round(numbers[columns[FEED]], 3), round(numbers[columns[AIR]]) / 3600.0
-        feed, air = (float(value) for value in config.given(*targets)[0])
+        feed, air = (float(value) for value in config.feasible(*targets)[0])
         rounded |= {columns[FEED]: round(feed, 9), columns[AIR]: round(3600.0 * air, 9)}
     return rounded
 

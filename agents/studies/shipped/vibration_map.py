@@ -24,7 +24,7 @@ from agents.studies.shipped.network import fit_network
 from probe_env import Scene, load_contexts
 from probe_env.arrays import FloatArray
 from probe_env.envs.contexts import SPLIT_SIZES
-from probe_env.envs.plants import map_beside
+from probe_env.envs.plants import map_file
 from probe_env.envs.task import TaskConfig, value_at
 from probe_env.envs.vibration_map import CONTEXT, PROFILED, VibrationMap, features_of, feeds, rms_limit
 from probe_env.fidelity import resolve_fidelity
@@ -127,6 +127,6 @@ def target_of(request: Request) -> Path:
     if request.tube is None:
         return target
     if not ships("tubes", file_or_shipped("tubes", request.tube)):
-        return map_beside(request.tube)
+        return map_file(request.tube)
     print(f"probe-env: note: {request.tube} is shipped with its map; the new map is {target}", file=sys.stderr)
     return target

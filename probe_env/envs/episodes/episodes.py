@@ -1,6 +1,6 @@
-"""Episodes of N probes: simulator and task put together, once for single environments and for batches.
+"""Episodes of N probes: simulator and task together.
 
-Environments only wrap this: a single one is a batch of one, so N environments equal N single ones.
+Environments wrap this class. A single environment is a batch of one, so N environments equal N single ones.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from probe_env.envs.episodes.starts import (
     DEFAULTS,
     EpisodeSampler,
     EpisodeSettings,
-    placed,
+    resolve_settings,
     restored_on_error,
     settling,
 )
@@ -42,11 +42,11 @@ START_PERTURBATION: Final = 1e-7  # [m]
 IN_INFO: Final = (
     "radial_rms_m", "radial_acceleration_rms_m_per_s2", "axial_rms_m", "tension_mean_n", "lift_off_share",
 )  # fmt: skip
-"""Statistics of a period that an info has."""
+"""Statistics of the period in ``info``."""
 
 
 class Step(NamedTuple):
-    """What a step of N probes returns; ``infos`` has a dictionary for each that was stepped, else an empty one."""
+    """Result of a step of N probes; the info of a probe that was not stepped is empty."""
 
     observation: npt.NDArray[np.float32]
     reward: FloatArray
@@ -61,18 +61,18 @@ class Episodes:
     Args:
         count: N.
         config: the task.
-        threads: at most so many; default: all cores.
-        allow_standstill: whether the feed action may be the task's ``standstill``, which replays of logs choose.
+        threads: maximum number of threads; default: all cores.
+        allow_standstill: whether the feed action may be the task's ``standstill``, for replays of logs.
         settings: see ``EpisodeSettings``.
 
     Attributes:
         window: motion in the last period; None before the first.
-        running: (N,) which episodes have begun and not ended.
-        meter: estimates the signal-to-noise.
+        running: (N,) whether the episode has begun and not ended.
+        meter: estimator of the signal-to-noise.
 
     Raises:
         ValueError: an argument is not valid.
-        TypeError: there is no such setting.
+        TypeError: unknown setting.
     """
 
     def __init__(
@@ -85,7 +85,7 @@ class Episodes:
         **settings: Unpack[EpisodeSettings],
     ) -> None:
         check_keywords(type(self).__name__, settings, DEFAULTS)
-        config, settings = placed({}, config, settings)
+        config, settings = resolve_settings({}, config, settings)
         arguments = DEFAULTS | settings
         if count < 1:
             raise ValueError(f"num_envs = {count!r} is outside the accepted range 1 and more")
@@ -108,6 +108,9 @@ class Episodes:
     def __len__(self) -> int:
         return len(self.context)
 
+    def __repr__(self) -> str:
+        return f"{len(self)} x {self.config!r}, {self.fidelity!r}"
+
     @property
     def kernel_seconds(self) -> float:
         """Time spent in the kernels so far [s], over all threads."""
@@ -115,7 +118,7 @@ class Episodes:
 
     @property
     def observation(self) -> npt.NDArray[np.float32]:
-        """(N, d) what is observed now; of episodes that diverged what was before."""
+        """(N, d) current observation; the last one before it of episodes that diverged."""
         return self.sensors.observation
 
     @property
@@ -125,7 +128,7 @@ class Episodes:
 
     @property
     def inserted_length(self) -> FloatArray:
-        """(N,) cable in the helix, not more than it is long [m]."""
+        """(N,) length of cable in the helix, at most the helix length [m]."""
         return np.array([s.length_in_helix for s in self.batch.simulators])
 
     @property
@@ -134,21 +137,21 @@ class Episodes:
         return np.array([s.scene.tube.helix_length for s in self.batch.simulators])
 
     def time_lapse(self, targets: FloatArray) -> FloatArray:
-        """(N,) how many times faster than the motion's clock the length changes in a period with targets (N, 2).
+        """(N,) time-lapse factor of a period with targets (N, 2): how much faster the length changes than the motion.
 
-        What rings on insertion is nearly steady, so metres may be left out. On withdrawal the motion is what the turn
-        or a change of the feed has left; time-lapse would spread it over so many times as many metres.
+        Vibration on insertion is nearly steady, so metres may be skipped. On withdrawal the motion is a transient of
+        the turn or of a change of feed, which time-lapse would spread over more metres.
         """
         now = [simulator.feed_speed for simulator in self.batch.simulators]
         return np.where(self.direction > 0.0, self.fidelity.time_lapse_of(now, targets[:, 0]), 1.0)
 
     def fork(self, which: Sequence[int]) -> Episodes:
-        """Copies of some episodes in their present state, each as often as it is named: what a controller tries out.
+        """Copies of the episodes ``which`` in their current state, for planning; an index may occur more than once.
 
-        They are rewarded and end as the episodes themselves would; their metrics count from here on.
+        Rewards and endings are those of the originals; metrics start from zero.
 
         Raises:
-            ValueError: ``which`` is empty or names no episode of these.
+            ValueError: ``which`` is empty or has an index out of range.
         """
         new = copy.copy(self)
         new.batch = self.batch.branch(which)
@@ -165,12 +168,12 @@ class Episodes:
     ) -> tuple[npt.NDArray[np.float32], dict[int, dict[str, Any]]]:
         """Start new episodes of some probes, settled for ``config.settle_time``; (N, d) observation and their infos.
 
-        Options of a probe: any field of ``Context``; "context": a whole one; "probe": fields of ``scene.Probe``
-        to change; "carrier_length" [m] where the length is constant.
+        Options of a probe: any field of ``Context``; "context": a whole context; "probe": changed fields of
+        ``scene.Probe``; "carrier_length" [m] if the length is constant.
 
         Raises:
-            ValueError: an option is not known or not valid, or asks for what this fidelity or the model cannot
-                simulate, see ``limits``; nothing has been changed then.
+            ValueError: an option is unknown or not valid, or this fidelity or the model cannot simulate it, see
+                ``limits``; nothing has been changed.
         """
         prepared: dict[int, tuple[Context, Scene]] = {}
         with restored_on_error(rngs[k] for k in which):
@@ -188,7 +191,7 @@ class Episodes:
             self.scorer.begin(k, simulator.inserted_length, scene.tube.helix_length)
             self.meter.reset(k)
             self.actions[k] = self.start_action
-            simulator.hold_length()  # settling is not inspection
+            simulator.hold_length()  # settling does not count as inspection
         self._set_friction(which)
         active = np.zeros(len(self), dtype=bool)
         active[list(which)] = True
@@ -197,7 +200,7 @@ class Episodes:
         for k in which:
             self.batch.simulators[k].feed_length()
             self.scorer.metrics[k].last_radial = window.radial_of(k)[-2:].copy()
-            self.running[k] = True  # one that diverged while settling ends in its first step
+            self.running[k] = True  # if it diverged while settling, it ends in its first step
         self.sensors.begin(self._measured(window), active, normal_draws(self.rng, active, 2))
         for k in which:
             infos[k] = self._info(k, window) | {
@@ -211,7 +214,7 @@ class Episodes:
         """One control period of the active probes (default: all).
 
         Raises:
-            ValueError: an action is not valid; nothing has been advanced then.
+            ValueError: an action is not valid; nothing has been advanced.
             RuntimeError: an active episode has ended and was not reset.
         """
         stepped, actions = self._checked(actions, active)
@@ -226,12 +229,12 @@ class Episodes:
         return Step(self.observation.copy(), scored.reward, scored.terminated, scored.truncated, infos)
 
     def _checked(self, actions: npt.ArrayLike, active: BoolArray | None) -> tuple[BoolArray, npt.NDArray[np.float32]]:
-        """Which probes (N,) are stepped, and the actions (N, 2) of all: the last ones of those that are not."""
+        """Which probes (N,) are stepped, and actions (N, 2); probes that are not stepped keep their last action."""
         stepped = np.ones(len(self), dtype=bool) if active is None else np.asarray(active, dtype=bool)
-        asked = np.asarray(actions, dtype=np.float32)
-        if asked.shape != (len(self), 2):
-            raise ValueError(f"actions have shape {asked.shape}; accepted is ({len(self)}, 2): feed speed, air supply")
-        return stepped, np.where(stepped[:, None], asked, self.actions).astype(np.float32)
+        requested = np.asarray(actions, dtype=np.float32)
+        if requested.shape != (len(self), 2):
+            raise ValueError(f"actions have shape {requested.shape}; accepted: ({len(self)}, 2), feed and air")
+        return stepped, np.where(stepped[:, None], requested, self.actions).astype(np.float32)
 
     def _simulate(self, stepped: BoolArray, actions: npt.NDArray[np.float32], targets: FloatArray) -> StepRecord:
         """Advance some probes by a control period towards targets (N, 2) [m/s], [m3/s]."""
@@ -261,7 +264,7 @@ class Episodes:
         )
 
     def _advance(self, targets: FloatArray | None, seconds: FloatArray, which: BoolArray) -> Window:
-        """Advance some probes by (N,) seconds towards targets (N, 2), or on as they are; adds "noise_to_signal"."""
+        """Advance some probes by (N,) seconds towards targets (N, 2), or at constant feed; adds "noise_to_signal"."""
         feed, air = (None, None) if targets is None else (targets[:, 0], targets[:, 1])
         parts = []
         for duration in np.unique(seconds[which]) if which.any() else seconds[:1]:
@@ -275,9 +278,9 @@ class Episodes:
         return joined(parts)
 
     def _measured(self, window: Window) -> dict[str, FloatArray]:
-        """What sensors measure, (N,) each in SI units, see ``observe``."""
+        """Sensor values before noise, (N,) each in SI units, see ``observe``."""
         inserted, statistics = self.inserted_length, dict(window.statistics)
-        if self.config.vibration_measure == "snr":  # then the eddy-current noise is that of the flaw's band
+        if self.config.vibration_measure == "snr":  # then it is the noise in the band of the flaw
             statistics["radial_rms_m"] = self.config.sensor.equivalent_rms(statistics["noise_to_signal"])
         probes = [s.scene.probe for s in self.batch.simulators]
         return {
@@ -294,7 +297,7 @@ class Episodes:
         }
 
     def _info(self, k: int, window: Window) -> dict[str, Any]:
-        """Physical values of one probe, SI units."""
+        """Physical values of one probe for ``info``, SI units."""
         metrics, noise = self.scorer.metrics[k], float(window.statistics["noise_to_signal"][k])
         return {
             "time": metrics.time,
@@ -323,7 +326,7 @@ class Episodes:
         return info
 
     def _set_friction(self, which: Sequence[int]) -> None:
-        """Give some probes the mean friction of the tube that they are in, where it drifts along it."""
+        """Set the mean friction over the inserted length, if friction drifts along the tube."""
         if self.config.friction_drift == 0.0:
             return
         share = self.inserted_length / self.helix_length
@@ -342,6 +345,6 @@ class Episodes:
 
 
 def check_running(running: BoolArray, stepped: BoolArray) -> None:
-    """Raise RuntimeError if an episode (N,) that is to be stepped has ended."""
+    """Raise RuntimeError if an episode (N,) to be stepped has ended."""
     if (stepped & ~running).any():
         raise RuntimeError(f"episode {np.flatnonzero(stepped & ~running)[0]} has ended: call reset before step")

@@ -1,9 +1,9 @@
-"""What a setting can simulate, so that an environment refuses the rest by name before an episode begins.
+"""Limits of time step and model, checked before an episode begins.
 
-Two bounds are the step's: contact allows omega dt <= 1.8 (stability.py), and superelements take the tension along the
-cable explicitly, so that much drag asks for a short step. Three are the model's, whatever the step:
+Two limits are of the time step: contact needs omega dt <= 1.8 (stability.py), and superelements treat the tension along
+the cable explicitly, so that high drag needs a short step. Three are of the model, at any step:
 
-* a wall softer than pi^4 EI / (4 p^3) is none. A beam on a foundation of k / p buckles at 2 sqrt(EI k / p), between
+* the wall must be stiffer than pi^4 EI / (4 p^3). A beam on a foundation of k / p buckles at 2 sqrt(EI k / p), between
   two floats at pi^2 EI / p^2: below, the cable leaves through the wall before it buckles between floats;
 * steady drag must not press a float deeper into the wall than the tube has clearance;
 * rotations are small: the tip of a probe that drag stretches and presses into the wall slides s along the helix and
@@ -25,19 +25,19 @@ from probe_env.scene import Probe, Scene
 from probe_env.settings import whole_steps
 
 MOST_TURN: Final = 1.0  # [rad]
-REMEDY: Final = "give a stiffer contact, less drag or a wider helix"
+REMEDY: Final = "use a stiffer contact, less drag or a wider helix"
 SHORTEST_STEP: Final = 1e-7  # [s], of a fidelity
-PULL_HOLDS: Final = 0.0125
+PULL_LIMIT: Final = 0.0125
 """Of T dt^2 / (rho p^2), T the tension of steady sliding: 20 insertions of table 2's probe in straight tubes, with 2 to
 10 times the drag, diverged at 2e-4 s from 0.0148 on (411 to 549 N)."""
-START_HOLDS: Final = 1.9
+START_LIMIT: Final = 1.9
 """[m/s], of T dt / (rho p), T what drag pulls a probe with that starts at rest, before friction holds it: the wave that
 runs through it then is twice as high. Of 1000 such starts the least that diverged had 2.05 at 5e-4 s, 2.3 at 2e-4 s
 and 2.7 at 1e-4 s, in helices of 0.3 to 1 m; in straight tubes 2.6, 4.8, and none at 1e-4 s."""
 
 
 class Sliding(NamedTuple):
-    """A probe that slides steadily: greatest tension [N], depth in the wall there and slide of the tip [m]."""
+    """Steady sliding: greatest tension [N], penetration of the wall there [m] and displacement of the tip [m]."""
 
     tension: float
     depth: float
@@ -45,11 +45,11 @@ class Sliding(NamedTuple):
 
 
 def check_fidelity(fidelity: Fidelity, config: TaskConfig) -> None:
-    """Raise ValueError if a fidelity cannot simulate a task, in whatever tube."""
+    """Raise ValueError if a fidelity cannot simulate a task in any tube."""
     if not fidelity.simulates:
-        raise ValueError("fidelity = 'surrogate' simulates no motion, which is asked for here: give fast or finer")
+        raise ValueError("fidelity = 'surrogate' simulates no motion, which is needed here: use fast or finer")
     if fidelity.time_lapse > 1.0 and not config.growing:
-        raise ValueError(f"fidelity.time_lapse = {fidelity.time_lapse:g} needs a growing probe; here it is 1")
+        raise ValueError(f"fidelity.time_lapse = {fidelity.time_lapse:g} needs a growing probe: use standard")
     whole_steps("config.period / fidelity.time_lapse", config.period / fidelity.time_lapse, fidelity.time_step)
     if config.returns or fidelity.steady_feed is not None:
         whole_steps("config.period", config.period, fidelity.time_step)
@@ -71,12 +71,13 @@ def check_simulable(scene: Scene, fidelity: Fidelity, longest: float, most_air: 
         limit = _longest_step(fidelity.method, scene, fidelity.nodes_per_pitch)
     except ValueError as error:
         raise ValueError(
-            f"contact_stiffness = {stiffness:g} N/m: {error}: give fidelity = {_that_holds(fidelity, scene)}"
+            f"contact_stiffness = {stiffness:g} N/m: {error}: give fidelity = {_stable_settings(fidelity, scene)}"
         ) from error
     if fidelity.time_step > limit * (1.0 + 1e-9):
         raise ValueError(
             f"contact_stiffness = {stiffness:g} N/m: {fidelity.method} holds with a time step of at most {limit:.2g} s,"
-            f" and that of this fidelity is {fidelity.time_step:g} s: give fidelity = {_that_holds(fidelity, scene)}"
+            f" and that of this fidelity is {fidelity.time_step:g} s: give fidelity ="
+            f" {_stable_settings(fidelity, scene)}"
         )
     softest = softest_wall(probe)
     if stiffness < softest:
@@ -102,14 +103,14 @@ def check_simulable(scene: Scene, fidelity: Fidelity, longest: float, most_air: 
             f"{tube}: drag stretches the probe and presses it into the wall so that it turns by {turn:.2g} rad along"
             f" the helix, and the model holds up to {MOST_TURN:g} rad; {REMEDY}"
         )
-    pulled = _pulled_step(fidelity.method, probe, start.tension, end.tension)
-    if fidelity.time_step > pulled * (1.0 + 1e-9):
-        rests = _pulled_step(fidelity.method, probe, start.tension, 0.0) == pulled
-        pull = f"{start.tension:.3g} N as it starts from rest" if rests else f"{end.tension:.3g} N as it slides"
+    tension_limit = _tension_step(fidelity.method, probe, start.tension, end.tension)
+    if fidelity.time_step > tension_limit * (1.0 + 1e-9):
+        at_start = _tension_step(fidelity.method, probe, start.tension, 0.0) == tension_limit
+        pull = f"{start.tension:.3g} N as it starts from rest" if at_start else f"{end.tension:.3g} N as it slides"
         raise ValueError(
             f"{tube}: drag pulls the probe with {pull}: {fidelity.method} holds with a time step of at most"
-            f" {pulled:.2g} s, and that of this fidelity is {fidelity.time_step:g} s: give fidelity ="
-            f" {_that_holds(fidelity, scene, start.tension, end.tension)}"
+            f" {tension_limit:.2g} s, and that of this fidelity is {fidelity.time_step:g} s: give fidelity ="
+            f" {_stable_settings(fidelity, scene, start.tension, end.tension)}"
         )
 
 
@@ -119,7 +120,7 @@ def softest_wall(probe: Probe) -> float:
 
 
 def steady_sliding(scene: Scene, length: float, air_supply_rate: float, friction: float) -> Sliding:
-    """How far drag alone stretches ``length`` metres of probe and presses them into the wall, at no feed.
+    """Tension, penetration and displacement of ``length`` metres of probe under drag alone, without feed.
 
     dT/ds = q - mu' T / r from the tip on, mu' = mu (1 - d_f / D); an element gives T / EA and T p / (k r^2).
     """
@@ -130,41 +131,41 @@ def steady_sliding(scene: Scene, length: float, air_supply_rate: float, friction
     for diameter, section in ((probe.guide_float_diameter, guide), (probe.carrier_float_diameter, length - guide)):
         drag = pressure * math.pi / 4.0 * (diameter**2 - probe.cable_diameter**2) / probe.float_pitch
         decay = friction * (1.0 - diameter / scene.tube.helix_diameter) / radius
-        if decay * section < 1e-6:  # the limit, where the other form cancels
+        if decay * section < 1e-6:  # the limit: the other form cancels
             whole += tension * section + 0.5 * drag * section**2
             tension += drag * section
         else:
-            most, left = drag / decay, math.exp(-decay * section)
-            whole += most * section + (tension - most) * (1.0 - left) / decay
-            tension = most + (tension - most) * left
+            most, factor = drag / decay, math.exp(-decay * section)
+            whole += most * section + (tension - most) * (1.0 - factor) / decay
+            tension = most + (tension - most) * factor
         greatest = max(greatest, tension)
     sinking = probe.float_pitch / (scene.contact.stiffness * radius)
     return Sliding(greatest, greatest * sinking, whole * (1.0 / probe.tensile_rigidity + sinking / radius))
 
 
 def _longest_step(method: str, scene: Scene, nodes_per_pitch: int) -> float:
-    """The longest step known to hold [s], or else that contact allows."""
-    known = METHODS[method]
-    return known.stable_step(scene, nodes_per_pitch) or known.contact_step(scene, nodes_per_pitch)
+    """Longest step known to be stable [s], else the longest that contact allows."""
+    solver = METHODS[method]
+    return solver.stable_step(scene, nodes_per_pitch) or solver.contact_step(scene, nodes_per_pitch)
 
 
-def _pulled_step(method: str, probe: Probe, start: float, end: float) -> float:
-    """The longest step [s] that holds with tensions [N] at the start and in the end; on nodes no limit is known."""
+def _tension_step(method: str, probe: Probe, start: float, end: float) -> float:
+    """Longest stable step [s] for tensions [N] at the start and at the end; no limit is known for nodes."""
     if method in ON_NODES:
         return math.inf
     pitch = probe.line_density * probe.float_pitch
     return min(
-        START_HOLDS * pitch / max(start, 1e-9), math.sqrt(PULL_HOLDS * pitch * probe.float_pitch / max(end, 1e-9))
+        START_LIMIT * pitch / max(start, 1e-9), math.sqrt(PULL_LIMIT * pitch * probe.float_pitch / max(end, 1e-9))
     )
 
 
-def _that_holds(fidelity: Fidelity, scene: Scene, start: float = 0.0, end: float = 0.0) -> str:
-    """Settings that hold, the step a round one: by the same method, in double precision, on nodes."""
+def _stable_settings(fidelity: Fidelity, scene: Scene, start: float = 0.0, end: float = 0.0) -> str:
+    """Stable settings with a round step: the same method, else double precision, else nodes."""
     steps = [float(f"{digit}e{power}") for power in range(-2, -8, -1) for digit in (5, 2, 1)]
     for method in dict.fromkeys((fidelity.method, fidelity.method.removesuffix("32"), "imex")):
         nodes = fidelity.nodes_per_pitch if (method in ON_NODES) == (fidelity.method in ON_NODES) else MESH_NODES
         try:
-            limit = min(_longest_step(method, scene, nodes), _pulled_step(method, scene.probe, start, end))
+            limit = min(_longest_step(method, scene, nodes), _tension_step(method, scene.probe, start, end))
         except ValueError:
             continue
         step = next((value for value in steps if SHORTEST_STEP <= value <= limit), 0.0)

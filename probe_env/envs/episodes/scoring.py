@@ -1,7 +1,7 @@
-"""Scores control periods of N probes: what each metre counts for, reward, costs, endings and the episode's metrics.
+"""Scores control periods of N probes: reward, costs, endings and episode metrics.
 
-On insertion a metre counts as what was measured there. In a round trip it counts again on withdrawal where the task
-says so: alone, or where it is better than what insertion showed, so that at the end every metre counts as the better.
+On insertion a metre is scored by its measured vibration. In a round trip, ``config.inspects`` selects the scored pass:
+insertion, withdrawal, or the better of both in each metre.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import copy
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Final, NamedTuple, Self
+from typing import Any, Final, NamedTuple, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -25,11 +25,11 @@ from probe_env.physics.simulation.window import Window
 LOWEST, HIGHEST, PER_DECADE = 1e-9, 1e6, 200
 BINS = round(np.log10(HIGHEST / LOWEST) * PER_DECADE)
 SIGNALS = {"radial": "m", "radial_acceleration": "m_per_s2"}
-"""Signals of the figures and their units; rms is over the length inspected, p99 and max over the magnitude in time."""
+"""Signals of the KPIs and their units; rms is over the inspected length, p99 and max over the magnitude in time."""
 COLUMNS: Final = 3 + len(SIGNALS)
-"""Of sums over the length: of 1, the capped square, whether within the limit, and squares of the signals' rms."""
+"""Number of sums over length: 1, capped square, within limit (0 or 1), and squared rms of each signal."""
 BIN: Final = 1.0
-"""Length over which insertion is remembered [m]."""
+"""Bin length of the stored insertion [m]."""
 
 
 class StepRecord(NamedTuple):
@@ -37,25 +37,25 @@ class StepRecord(NamedTuple):
 
     stepped: BoolArray
     good: BoolArray  # stepped, and did not diverge
-    before: FloatArray  # inserted length at its beginning
-    after: FloatArray  # and at its end
+    before: FloatArray  # inserted length at the start
+    after: FloatArray  # inserted length at the end
     helix_length: FloatArray
     air: FloatArray  # used [m3]
     seconds: FloatArray  # of motion
-    action_change: FloatArray  # (N, 2) action less the one before
+    action_change: FloatArray  # (N, 2) change of the action
     buckling_load: FloatArray  # of the cable between two floats [N]
     window: Window  # motion of the sensor and root tension
-    signals: Mapping[int, FilteredSignal]  # of each good probe, see ``SnrEstimator.last``
+    signals: Mapping[int, FilteredSignal]  # good probes, see ``SnrEstimator.last``
 
 
 class Percentiles:
-    """Percentiles of the magnitude of many samples, to 1.2 %, in a histogram of logarithmic bins."""
+    """Percentiles of the magnitude of samples from a histogram with logarithmic bins; accurate to 1.2 %."""
 
     def __init__(self) -> None:
         self.counts = np.zeros(BINS, dtype=np.int64)
 
     def add(self, samples: FloatArray) -> None:
-        """Count samples of any sign, unit and shape."""
+        """Add samples of any sign, unit and shape."""
         bins = np.log10(np.clip(np.abs(samples), LOWEST, HIGHEST * 0.999) / LOWEST) * PER_DECADE
         self.counts += np.bincount(bins.astype(np.int64).ravel(), minlength=BINS)
 
@@ -70,7 +70,7 @@ class Percentiles:
 
 @dataclass
 class EpisodeMetrics:
-    """Figures of one episode up to now; lengths in m, times in s, air in m3, costs in periods."""
+    """Running sums of one episode; lengths in m, times in s, air in m3, costs in periods."""
 
     time: float = 0.0
     inspected: float = 0.0
@@ -96,7 +96,7 @@ class EpisodeMetrics:
             self.samples[name].add(values)
 
     def totals(self, length: float, ended: Mapping[str, float]) -> dict[str, float]:
-        """Figures that need no samples; ``length`` was to be inspected [m], ``ended`` as from ``Score.kpis``."""
+        """KPIs without samples; ``length`` is the length to inspect [m], ``ended`` is ``Score.kpis``."""
         return {
             "inspection_time_s": self.time,
             "inspected_m": self.inspected,
@@ -110,9 +110,9 @@ class EpisodeMetrics:
             **{f"cost_{name}": value for name, value in self.costs.items()},
         }
 
-    def kpis(self, length: float, tube_length: float, ended: Mapping[str, float]) -> dict[str, float]:
-        """All figures of the episode, in a tube of a length [m]; see ``totals``."""
-        values = self.totals(length, ended)
+    def kpis(self, length: float, tube_length: float, ended: Mapping[str, float]) -> dict[str, Any]:
+        """All KPIs of the episode in a tube of ``tube_length`` [m]; see ``totals``."""
+        values: dict[str, Any] = self.totals(length, ended)
         for name, unit in SIGNALS.items():
             mean_square = max(self.squares[name] / self.inspected, 0.0) if self.inspected > 0.0 else 0.0
             values[f"{name}_rms_{unit}"] = float(np.sqrt(mean_square))
@@ -122,7 +122,7 @@ class EpisodeMetrics:
 
 
 class Scorer:
-    """Scores N episodes of one pass: probes are fed in, or stay where they are.
+    """Scores N episodes of one pass, or at constant length.
 
     Args:
         count: N.
@@ -131,7 +131,7 @@ class Scorer:
     Attributes:
         direction: (N,) 1 on insertion, -1 on withdrawal.
         start: (N,) inserted length at the start [m].
-        metrics: of each episode, up to now.
+        metrics: running metrics of each episode.
     """
 
     def __init__(self, count: int, config: TaskConfig) -> None:
@@ -140,20 +140,20 @@ class Scorer:
         self.metrics = [EpisodeMetrics() for _ in range(count)]
 
     def fork(self, which: Sequence[int]) -> Self:
-        """A scorer of copies of some episodes, which rewards and ends them as this one; metrics count from here on."""
+        """Scorer of copies of the episodes ``which``: same rewards and endings; metrics start from zero."""
         new, index = copy.copy(self), list(which)
         for name, values in vars(self).items():
             if isinstance(values, np.ndarray):
                 setattr(new, name, values[index])
         new.metrics = []
-        for of in (self.metrics[k] for k in index):
-            copied = EpisodeMetrics(of.time, detection=self._detection(), last_radial=of.last_radial)
-            copied.consecutive_slack_steps = of.consecutive_slack_steps
-            new.metrics.append(copied)
+        for old in (self.metrics[k] for k in index):
+            metrics = EpisodeMetrics(old.time, detection=self._detection(), last_radial=old.last_radial)
+            metrics.consecutive_slack_steps = old.consecutive_slack_steps
+            new.metrics.append(metrics)
         return new
 
     def begin(self, k: int, start: float, helix_length: float) -> None:
-        """An episode of probe ``k`` begins at an inserted length, in a helix of a length [m]."""
+        """Start the episode of probe ``k`` at an inserted length ``start`` [m] in a helix of ``helix_length`` [m]."""
         self.direction[k], self.start[k] = 1.0, start
         self.metrics[k] = EpisodeMetrics(detection=self._detection())
 
@@ -189,8 +189,8 @@ class Scorer:
             self.metrics[k].reward += float(scored.reward[k])
         return scored
 
-    def kpis(self, k: int, tube_length: float, scored: Score) -> dict[str, float]:
-        """Figures of an episode that has ended, in a tube of a length [m]."""
+    def kpis(self, k: int, tube_length: float, scored: Score) -> dict[str, Any]:
+        """KPIs of a finished episode in a tube of ``tube_length`` [m]."""
         length = tube_length - self.start[k] if self.config.growing else self.metrics[k].inspected
         return self.metrics[k].kpis(float(length), tube_length, scored.kpis(k))
 
@@ -206,7 +206,7 @@ class Scorer:
         metrics.air += float(record.air[k])
         metrics.consecutive_slack_steps = metrics.consecutive_slack_steps + 1 if is_slack else 0
         metrics.lost_drive_events += metrics.consecutive_slack_steps == self.config.lost_drive_periods
-        rest = float(radial.mean()) if self.direction[k] < 0.0 else 0.0  # on the outer wall, or on its way there
+        rest = float(radial.mean()) if self.direction[k] < 0.0 else 0.0  # on the outer wall, or moving towards it
         metrics.add_signals(sums[3:], radial, SAMPLE_PERIOD, rest)
         self._detect(k, sums[0], float(record.seconds[k]), record.signals[k])
 
@@ -214,37 +214,37 @@ class Scorer:
         return DetectionMetrics(self.config.sensor)
 
     def count(self, record: StepRecord, each_metre: FloatArray) -> FloatArray:
-        """(N, COLUMNS) sums of ``each_metre`` (N, COLUMNS) over the length that the period inspected."""
+        """(N, COLUMNS) sums of ``each_metre`` (N, COLUMNS) over the length inspected in the period."""
         length = rules.travel(self.config, record.before, record.after, record.window.feed_speed)
         return np.where(record.good, length, 0.0)[:, None] * each_metre
 
     def _detect(self, k: int, inspected: float, seconds: float, signal: FilteredSignal) -> None:
-        """Add a period's signal-to-noise: over the length inspected [m], in seconds of motion."""
+        """Add the signal-to-noise of a period with an inspected length [m] and a duration of motion [s]."""
         self.metrics[k].detection.add(inspected, signal)  # type: ignore[call-arg, arg-type]
 
     def complete(self, at_end: BoolArray, record: StepRecord) -> BoolArray:
-        """(N,) whose inspection is complete, where ``at_end`` (N,) are at the helix's end."""
+        """(N,) whether the inspection is complete; ``at_end`` (N,) is whether the probe is at the end of the helix."""
         return at_end
 
     def uninspected(self, record: StepRecord) -> FloatArray:
-        """(N,) what is left to inspect [m], where the length grows."""
-        # what passed in a period that diverged was not inspected
+        """(N,) length still to inspect [m], if the length grows."""
+        # a period that diverged inspects nothing
         return record.helix_length - np.where(record.good, record.after, record.before)
 
 
 class RoundTripScorer(Scorer):
-    """Scores N episodes of two passes: probes are fed in to the helix's end and drawn back to where they began.
+    """Scores N round trips: insertion to the end of the helix and withdrawal to the initial length.
 
     Attributes:
         reached: (N,) greatest inserted length so far [m].
-        left: (N,) least inserted length on withdrawal so far [m].
+        withdrawn_to: (N,) least inserted length on withdrawal so far [m].
     """
 
     def __init__(self, count: int, config: TaskConfig) -> None:
         super().__init__(count, config)
-        self.reached, self.left = np.zeros(count), np.full(count, np.inf)
-        self._since_turn, self._piece = np.zeros(count), np.zeros((count, 2))  # [s]; ends of what was counted last [m]
-        self._on_insertion = np.ones(count, dtype=bool)  # of that piece
+        self.reached, self.withdrawn_to = np.zeros(count), np.full(count, np.inf)
+        self._since_turn, self._piece = np.zeros(count), np.zeros((count, 2))  # [s]; ends of the last scored piece [m]
+        self._on_insertion = np.ones(count, dtype=bool)  # pass of that piece
         self._insertion: list[FloatArray] = [np.zeros((0, COLUMNS)) for _ in range(count)]
 
     def fork(self, which: Sequence[int]) -> Self:
@@ -256,17 +256,17 @@ class RoundTripScorer(Scorer):
     def begin(self, k: int, start: float, helix_length: float) -> None:
         """See ``Scorer.begin``."""
         super().begin(k, start, helix_length)
-        self.reached[k], self.left[k], self._since_turn[k] = start, np.inf, 0.0
+        self.reached[k], self.withdrawn_to[k], self._since_turn[k] = start, np.inf, 0.0
         self._insertion[k] = np.zeros((math.ceil(helix_length / BIN) + 1, COLUMNS))  # a row a bin, sums over its length
 
     def still_to_pass(self) -> tuple[FloatArray, FloatArray]:
-        """(N,) length [m] that withdrawal is still to pass, and the sums of squares that insertion had there."""
-        metres = np.maximum(np.minimum(self.left, self.reached) - self.start, 0.0)
+        """(N,) length [m] still to withdraw, and the sums of squares of insertion over it."""
+        metres = np.maximum(np.minimum(self.withdrawn_to, self.reached) - self.start, 0.0)
         squares = np.zeros(len(metres))
         for k, (low, length) in enumerate(zip(self.start.tolist(), metres.tolist(), strict=True)):
             for bin_, piece in _bins(low, low + length):
-                known, sum_of_squares = self._insertion[k][bin_, :2]
-                squares[k] += piece * sum_of_squares / known if known > 0.0 else 0.0
+                inspected, sum_of_squares = self._insertion[k][bin_, :2]
+                squares[k] += piece * sum_of_squares / inspected if inspected > 0.0 else 0.0
         return metres, squares
 
     def _detection(self) -> DetectionMetrics | RoundTripMetrics:
@@ -276,31 +276,31 @@ class RoundTripScorer(Scorer):
         """See ``Scorer.count``."""
         sums = np.zeros_like(each_metre)
         for k in np.flatnonzero(record.good).tolist():
-            after, remembered, measured = record.after[k], self._insertion[k], each_metre[k]
+            after, insertion, measured = record.after[k], self._insertion[k], each_metre[k]
             self._piece[k], self._on_insertion[k] = after, True
             if after > self.reached[k]:
                 self._piece[k] = self.reached[k], after
                 for bin_, length in _bins(self.reached[k], after):
-                    remembered[bin_] += length * measured
+                    insertion[bin_] += length * measured
                 if self.config.inspects != "back":
                     sums[k] += (after - self.reached[k]) * measured
                 self.reached[k] = after
             if self.direction[k] < 0.0:
-                high, low = min(self.left[k], self.reached[k]), max(after, self.start[k])
+                high, low = min(self.withdrawn_to[k], self.reached[k]), max(after, self.start[k])
                 if low < high:
                     self._piece[k], self._on_insertion[k] = (low, high), False
                     for bin_, length in _bins(low, high):
-                        sums[k] += self._again(remembered[bin_], length, measured)
-                    self.left[k] = low
+                        sums[k] += self._withdrawal_sums(insertion[bin_], length, measured)
+                    self.withdrawn_to[k] = low
         return sums
 
-    def _again(self, known: FloatArray, length: float, measured: FloatArray) -> FloatArray:
-        """What a piece of a bin adds on withdrawal."""
+    def _withdrawal_sums(self, insertion: FloatArray, length: float, measured: FloatArray) -> FloatArray:
+        """(COLUMNS,) change of the sums by a piece [m] of withdrawal in a bin with sums of ``insertion``."""
         if self.config.inspects == "back":
             return length * measured
-        if self.config.inspects == "in" or known[0] == 0.0:
+        if self.config.inspects == "in" or insertion[0] == 0.0:
             return np.zeros_like(measured)
-        before = known / known[0]
+        before = insertion / insertion[0]
         better = measured[1] < before[1]
         gain = np.where(better, measured - before, 0.0)
         gain[2] = max(measured[2] - before[2], 0.0)
@@ -308,26 +308,26 @@ class RoundTripScorer(Scorer):
 
     def _detect(self, k: int, inspected: float, seconds: float, signal: FilteredSignal) -> None:
         (low, high), turning = self._piece[k].tolist(), self._since_turn[k] < TURN
-        stretch = "in" if self._on_insertion[k] else "turn" if turning else "back"
-        self.metrics[k].detection.add(stretch, low, high, signal)  # type: ignore[call-arg, arg-type]
+        segment = "in" if self._on_insertion[k] else "turn" if turning else "back"
+        self.metrics[k].detection.add(segment, low, high, signal)  # type: ignore[call-arg, arg-type]
         if self.direction[k] < 0.0:
             self._since_turn[k] += seconds
 
     def complete(self, at_end: BoolArray, record: StepRecord) -> BoolArray:
-        """See ``Scorer.complete``; those at the helix's end are sent back."""
+        """See ``Scorer.complete``; probes at the end of the helix turn to withdrawal."""
         self.direction[at_end] = -1.0
         is_back = (self.direction < 0.0) & (record.after <= self.start + END_TOLERANCE)
         return is_back & record.good
 
     def uninspected(self, record: StepRecord) -> FloatArray:
-        """Of both passes, whatever counts: else losing the drive before the turn would pay."""
+        """Length of both passes, whichever is scored: otherwise it would pay to lose the drive before the turn."""
         withdrawing = self.direction < 0.0
-        to_draw_back = np.where(withdrawing, np.minimum(self.left, self.reached), record.helix_length) - self.start
-        return np.asarray(record.helix_length - self.reached + to_draw_back)
+        to_pass = np.where(withdrawing, np.minimum(self.withdrawn_to, self.reached), record.helix_length) - self.start
+        return np.asarray(record.helix_length - self.reached + to_pass)
 
 
 def _bins(low: float, high: float) -> list[tuple[int, float]]:
-    """Bins between two lengths, and how much of each."""
+    """Bins between two lengths, and the length in each [m]."""
     first, last = int(low / BIN), int(high / BIN)
     edges = [low, *(BIN * k for k in range(first + 1, last + 1)), high]
     pieces = zip(range(first, last + 1), edges[:-1], edges[1:], strict=True)

@@ -1,4 +1,4 @@
-"""How an episode begins: tube and probe, given or drawn, and how much of the probe is in."""
+"""Start of an episode: tube, probe and inserted length, from arguments or sampled."""
 
 from __future__ import annotations
 
@@ -13,39 +13,39 @@ from pydantic import ValidationError
 
 from probe_env.design import RANGES, Design
 from probe_env.envs.contexts import SPLIT_SIZES, Context, Ranges, Split, draw_context, load_contexts
-from probe_env.envs.plants import GivenPlant, map_beside, plant_of
+from probe_env.envs.plants import PlantSource, map_file, plant_of
 from probe_env.envs.task import TaskConfig, ungrouped
 from probe_env.envs.task.config import scene_of
 from probe_env.envs.vibration_map import VibrationMap
 from probe_env.fidelity import Fidelity
 from probe_env.scene import Scene, whole_pitches
-from probe_env.settings import explain, tuples
+from probe_env.settings import closest, explain, tuples
 
 NamedContexts = Literal["random"] | Split
 Contexts = NamedContexts | Sequence[Context | Mapping[str, float]] | Mapping[str, Any]
-"""A name, a list of one's own, or the ranges of random ones (see ``contexts.Ranges``)."""
+"""A name, a custom list, or ranges of random contexts (see ``contexts.Ranges``)."""
 Probes = Literal["scene", "random"]
 SHORTEST_START: Final = 5.0  # [m] inserted
 SETTLING: Final = (0.2, 63.0 / 3600.0)
-"""Feed speed [m/s] and air supply [m3/s] before an episode, unless others are given."""
-WAY_BACK: Final[dict[str, Any]] = {"couple": "tangent", "contact": {"cable": True}}
-"""What the scene of a probe that is drawn back must have: it is pressed."""
+"""Default feed speed [m/s] and air supply [m3/s] while the probe settles."""
+WITHDRAWAL_SCENE: Final[dict[str, Any]] = {"couple": "tangent", "contact": {"cable": True}}
+"""Fields of the scene that withdrawal needs: the cable is under compression."""
 CARRIER_AT_START: Final = 2.5  # [m], at least
 RANDOM_TUBES: Final = 1024
-"""Of a plant, from which a random context is drawn."""
+"""Number of tubes of a plant from which a random context is sampled."""
 
 
-class PlaceSettings(TypedDict, total=False):
-    """Where something is tried and how closely it is simulated; see ``InsertionEnv`` for what each means."""
+class SceneSettings(TypedDict, total=False):
+    """Arguments that select tube, scene and fidelity; see ``InsertionEnv``."""
 
-    tube: GivenPlant
+    tube: PlantSource
     scene: Scene | Mapping[str, Any] | None
     fidelity: str | Fidelity | Mapping[str, Any]
     contexts: Contexts
 
 
-class EpisodeSettings(PlaceSettings, total=False):
-    """What episodes share besides the task; see ``InsertionEnv`` for what each means. SI units."""
+class EpisodeSettings(SceneSettings, total=False):
+    """Arguments of episodes besides the task, SI units; see ``InsertionEnv``."""
 
     feed_speed: float
     air_supply_rate: float
@@ -61,15 +61,15 @@ DEFAULTS: Final[EpisodeSettings] = {
 
 
 def settling(config: TaskConfig, settings: EpisodeSettings) -> tuple[float, float]:
-    """Feed speed [m/s] and air supply [m3/s] before an episode: as given, else the usual, or the nearest in range."""
+    """Feed speed [m/s] and air supply [m3/s] while settling: the arguments, or the default clipped to the range."""
     ranges = config.feed_speeds, config.air_supply_rates
-    feed, air = (float(np.clip(usual, *range_)) for usual, range_ in zip(SETTLING, ranges, strict=True))
+    feed, air = (float(np.clip(default, *range_)) for default, range_ in zip(SETTLING, ranges, strict=True))
     return settings.get("feed_speed", feed), settings.get("air_supply_rate", air)
 
 
 @contextmanager
 def restored_on_error(rngs: Iterable[np.random.Generator]) -> Iterator[None]:
-    """Generators go back to where they were if an error leaves the block."""
+    """Restore the state of the generators if the block raises."""
     before = [(rng, rng.bit_generator.state) for rng in rngs]
     try:
         yield
@@ -81,7 +81,7 @@ def restored_on_error(rngs: Iterable[np.random.Generator]) -> Iterator[None]:
 
 @dataclass(frozen=True)
 class EpisodeSampler:
-    """Draws tube and probe of an episode, see ``EpisodeSettings``; ValueError for contexts or probes not known."""
+    """Samples tube and probe of an episode, see ``EpisodeSettings``; ValueError for unknown contexts or probes."""
 
     config: TaskConfig
     contexts: Contexts
@@ -96,42 +96,42 @@ class EpisodeSampler:
 
     @property
     def scene(self) -> Scene:
-        """What contexts and options change."""
+        """Base scene, before context and options are applied."""
         return self.config.scene
 
     @property
     def stiffest(self) -> Scene:
-        """The scene with the hardest contact and the lightest floats that may be drawn: a step for it holds for all."""
+        """Scene with the stiffest contact and lightest floats: a step stable for it is stable for all samples."""
         source = checked_contexts(self.contexts)
-        drawn = source.stiffest if isinstance(source, Ranges) else max(c.contact_stiffness for c in source)
-        update: dict[str, Any] = {"contact": {"stiffness": max(drawn, self.scene.contact.stiffness)}}
+        stiffness = source.stiffest if isinstance(source, Ranges) else max(c.contact_stiffness for c in source)
+        update: dict[str, Any] = {"contact": {"stiffness": max(stiffness, self.scene.contact.stiffness)}}
         if self.probes == "random":
             lightest = {name: RANGES[name][0] for name in ("line_density", "float_pitch")}
             probe = Design.model_validate(lightest).cut_to(self.scene).probe(self.scene.probe)
             update |= {"probe": probe, "carrier_length": whole_pitches(self.scene.carrier_length, probe)}
-        return self.scene.model_copy(update=update | (WAY_BACK if self.config.returns else {}))
+        return self.scene.model_copy(update=update | (WITHDRAWAL_SCENE if self.config.returns else {}))
 
     def draw(self, rng: np.random.Generator, options: Mapping[str, Any]) -> tuple[Context, Scene]:
-        """Context and scene of an episode, see ``Episodes.reset`` for the options; whatever they fix is drawn as well.
+        """Context and scene of an episode; ``options`` of ``Episodes.reset`` do not change the random numbers.
 
         Raises:
-            ValueError: an option is not known or not valid.
+            ValueError: an option is unknown or not valid.
         """
         fixed = dict(options)
         changes: dict[str, Any] = {name: fixed.pop(name) for name in ("probe", "carrier_length") if name in fixed}
-        context = drawn_context(self.contexts, rng, fixed)
-        drawn = Design.random(rng).cut_to(self.scene).built.model_dump() if self.probes == "random" else {}
-        changes["probe"] = drawn | dict(changes.get("probe", {}))
+        context = sample_context(self.contexts, rng, fixed)
+        design = Design.random(rng).cut_to(self.scene).built.model_dump() if self.probes == "random" else {}
+        changes["probe"] = design | dict(changes.get("probe", {}))
         return context, self.build(context, changes)
 
     def build(self, context: Context, changes: Mapping[str, Any]) -> Scene:
-        """The scene at the start of an episode: context, changed probe, start length, feed and air of the settling."""
-        scene = context.apply(self.scene.model_copy(update=WAY_BACK) if self.config.returns else self.scene)
+        """Scene at the start of an episode: context, probe, initial length, feed and air while settling."""
+        scene = context.apply(self.scene.model_copy(update=WITHDRAWAL_SCENE) if self.config.returns else self.scene)
         if self.config.growing and "carrier_length" in changes:
             raise ValueError("carrier_length is not an option here: the probe starts short and is fed in")
         probe = scene.probe.model_copy(update=changes.get("probe", {}))
         carrier = changes.get("carrier_length", scene.carrier_length)
-        if self.probes == "random":  # of any pitch
+        if self.probes == "random":  # with any pitch
             carrier = whole_pitches(carrier, probe)
         if self.config.growing:
             start = max(SHORTEST_START, probe.guide_length + CARRIER_AT_START)
@@ -140,18 +140,18 @@ class EpisodeSampler:
         return scene.model_copy(update={"probe": probe, "carrier_length": carrier} | settled)
 
 
-def placed(
+def resolve_settings(
     defaults: Mapping[str, Any], config: TaskConfig | Mapping[str, Any] | None, settings: EpisodeSettings
 ) -> tuple[TaskConfig, EpisodeSettings]:
-    """The task with the scene that it is done in, and what is left of the settings: contexts, fidelity and the rest.
+    """The task with its scene, and the remaining settings: contexts, fidelity and others.
 
     Args:
-        defaults: an environment's own fields of the task.
-        config: fields of the task that differ, or a whole one.
-        settings: as given, with a ``tube`` or a ``scene``.
+        defaults: fields of the task that the environment changes.
+        config: changed fields of the task, or a whole task.
+        settings: arguments, with a ``tube`` or a ``scene``.
 
     Raises:
-        ValueError: a field that is not known or not valid, or settings that exclude each other.
+        ValueError: a field is unknown or not valid, or settings exclude each other.
         TypeError: a field of the task among the settings.
     """
     for name in settings:
@@ -160,35 +160,33 @@ def placed(
     contexts = settings.get("contexts")
     if settings.get("tube") is not None and isinstance(contexts, str) and contexts in SPLIT_SIZES:
         raise ValueError(
-            f"contexts = {contexts!r} are table 2's tubes: beside a tube leave it out, and they are drawn from what is"
-            " known of it, or give Contexts of your own"
+            f"contexts = {contexts!r} are table 2's tubes: with a tube leave contexts out, to sample them from"
+            " its ranges, or give your own Contexts"
         )
-    left = settings.copy()
-    file = left.get("tube")
-    if isinstance(file, str | Path) and map_beside(Path(file)).exists():
-        left.setdefault("surrogate_map", map_beside(Path(file)))
-    plant, scene = plant_of(left.pop("tube", None)), left.pop("scene", None)
+    remaining = settings.copy()
+    file = remaining.get("tube")
+    if isinstance(file, str | Path) and map_file(Path(file)).exists():
+        remaining.setdefault("surrogate_map", map_file(Path(file)))
+    plant, scene = plant_of(remaining.pop("tube", None)), remaining.pop("scene", None)
     if plant is None:
         task = config
-        if not isinstance(task, TaskConfig):  # of JSON, which has no tuples
+        if not isinstance(task, TaskConfig):  # JSON has no tuples
             task = TaskConfig.model_validate(tuples(dict(defaults) | ungrouped(dict(config or {}))))
-        return (task if scene is None else task.model_copy(update={"scene": scene_of(scene)})), left
+        return (task if scene is None else task.model_copy(update={"scene": scene_of(scene)})), remaining
     if scene is not None:
-        raise ValueError("tube and scene: give one of them, a tube has a scene of its own")
+        raise ValueError("tube and scene: give one of them, a tube has its own scene")
     if isinstance(config, TaskConfig):
-        raise ValueError(
-            "config beside a tube must be a mapping of the fields that differ: a tube has a task of its own"
-        )
-    if left.get("contexts", "random") == "random":
-        left["contexts"] = plant.contexts(RANDOM_TUBES)
-    return plant.configured(defaults, config), left
+        raise ValueError("config with a tube must be a mapping of changed fields: a tube has its own task")
+    if remaining.get("contexts", "random") == "random":
+        remaining["contexts"] = plant.contexts(RANDOM_TUBES)
+    return plant.configured(defaults, config), remaining
 
 
 def checked_contexts(contexts: Contexts) -> tuple[Context, ...] | Ranges:
-    """What contexts are drawn from: a list, or ranges.
+    """A list of contexts, or ranges to sample from.
 
     Raises:
-        ValueError: no such list, or one of one's own with a field that is not known or not valid; names it.
+        ValueError: unknown name, or a field of a custom list is unknown or not valid; names it.
     """
     if isinstance(contexts, Ranges) or (isinstance(contexts, tuple) and all(isinstance(c, Context) for c in contexts)):
         return contexts
@@ -196,7 +194,8 @@ def checked_contexts(contexts: Contexts) -> tuple[Context, ...] | Ranges:
         if contexts == "random":
             return Ranges()
         if contexts not in get_args(Split):
-            raise ValueError(f"contexts = {contexts!r} is not one of random, {', '.join(get_args(Split))}")
+            names = ("random", *get_args(Split))
+            raise ValueError(f"contexts = {contexts!r} is not one of {', '.join(names)}{closest(contexts, names)}")
         return load_contexts(contexts)
     try:
         if isinstance(contexts, Mapping):
@@ -214,13 +213,11 @@ def checked_contexts(contexts: Contexts) -> tuple[Context, ...] | Ranges:
     return tuple(listed)
 
 
-def drawn_context(contexts: Contexts, rng: np.random.Generator, fixed: dict[str, Any]) -> Context:
-    """A context from the generator, at random or from a list; ``fixed`` fixes fields or a whole "context".
-
-    Takes "context" out of ``fixed``.
+def sample_context(contexts: Contexts, rng: np.random.Generator, fixed: dict[str, Any]) -> Context:
+    """A context from ranges or from a list; ``fixed`` sets fields, or a whole "context", which is removed from it.
 
     Raises:
-        ValueError: no such list, or a field that is not known or not valid.
+        ValueError: unknown list, or a field is unknown or not valid.
     """
     source = checked_contexts(contexts)
     whole = fixed.pop("context", None)

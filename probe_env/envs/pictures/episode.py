@@ -1,4 +1,4 @@
-"""Pictures of an episode: the helix from above with the probe in it, and strips of actions and signals."""
+"""Pictures of an episode: top view of the helix with the probe, and plots of actions and signals."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from probe_env.envs.task import TaskConfig
 from probe_env.physics.simulation.simulator import Simulator
 from probe_env.physics.simulation.window import Window
 
-EXAGGERATION: Final = 20.0  # of the radial displacement, against the gap between two turns
-INWARD: Final = 0.55  # how far the drawing winds inwards over the whole helix, so that turns do not overlap
-WIDEST: Final = 0.06  # gap between two turns, where there are few
+EXAGGERATION: Final = 20.0  # of the radial displacement, relative to the gap between two turns
+INWARD: Final = 0.55  # inward shift over the whole helix, so that turns do not overlap
+WIDEST: Final = 0.06  # greatest gap between two turns
 LOWEST_MM, HIGHEST_MM = 1e-3, 3.0
 
 
@@ -50,12 +50,12 @@ class Helix:
         self.moving: tuple[Any, ...] = (self._cable, self._sensor, self._title)
 
     def update(self, simulator: Simulator) -> None:
-        """Draw the probe as it is now."""
+        """Draw the current state of the probe."""
         tube, nodes = self._tube, np.arange(simulator.root + 1)
         y = simulator.state.d[nodes, 1]
-        place = (simulator.root - nodes) * simulator.chain.element_length
-        drawn = np.clip(y * EXAGGERATION, -0.3 * tube.inner_diameter, 1.5 * tube.inner_diameter)
-        line = self._spiral(place, drawn / tube.inner_diameter)
+        position = (simulator.root - nodes) * simulator.chain.element_length
+        offset = np.clip(y * EXAGGERATION, -0.3 * tube.inner_diameter, 1.5 * tube.inner_diameter)
+        line = self._spiral(position, offset / tube.inner_diameter)
         self._cable.set_segments(list(np.stack([line[:-1], line[1:]], axis=1)))
         self._cable.set_array(np.clip(np.abs(y[:-1]) * 1e3, LOWEST_MM, HIGHEST_MM))
         self._sensor.set_data(*line[simulator.sensor][:, None])
@@ -63,24 +63,24 @@ class Helix:
         self._title.set_text(f"{inserted:.1f} of {tube.helix_length:g} m in a helix of {tube.helix_diameter:g} m")
 
     def _spiral(self, s: FloatArray, off: FloatArray | float = 0.0) -> FloatArray:
-        """(k, 2) drawn places at distances s [m] from the entrance, ``off`` the middle by so many bores."""
+        """(k, 2) points in the drawing at distances s [m] from the entrance; ``off`` is the offset in bores."""
         angle = 2.0 * s / self._tube.helix_diameter
         radius = 1.0 - self._inward * s / self._tube.helix_length + np.asarray(off) * self._gap
         return np.column_stack([radius * np.cos(angle), radius * np.sin(angle)])
 
 
 COLUMNS: Final = ("time", "inserted_length", "feed_speed", "air_supply_rate", "radial_rms_m")
-"""Of a period's info. Its reward follows, and the sensor's least and greatest radial displacement in it [m]."""
+"""Columns from the info of a period; its reward and the minimum and maximum radial displacement [m] follow."""
 
 
 class Traces:
-    """Draws strips into a figure: the sensor's radial displacement, feed, air, radial rms and reward.
+    """Plots into a figure: the sensor's radial displacement, feed, air, radial rms and reward.
 
     Args:
-        figure: where.
-        config: the task, for limits.
-        period: of control, on the dynamics clock [s].
-        end: length of the helix [m].
+        figure: the figure.
+        config: the task, for axis limits.
+        period: control period in time of the dynamics [s].
+        end: helix length [m].
 
     Attributes:
         moving: the artists that ``update`` changes.
@@ -88,17 +88,17 @@ class Traces:
 
     def __init__(self, figure: Any, config: TaskConfig, period: float, end: float) -> None:
         self._growing = config.growing
-        # fixed places: a layout that is computed anew costs more than the drawing, and moves from frame to frame
-        places = {"left": 0.15, "right": 0.97, "bottom": 0.08, "top": 0.97, "hspace": 0.6}
-        self._axes = figure.subplots(5, 1, gridspec_kw=places)
+        # fixed positions: a computed layout takes longer than the drawing and moves between frames
+        positions = {"left": 0.15, "right": 0.97, "bottom": 0.08, "top": 0.97, "hspace": 0.6}
+        self._axes = figure.subplots(5, 1, gridspec_kw=positions)
         names = ("sensor y\n[mm]", "feed\n[m/s]", "air\n[m3/h]", "radial rms\n[mm]", "reward")
         for axes, name in zip(self._axes, names, strict=True):
             axes.set_ylabel(name, fontsize=8)
-            axes.yaxis.set_label_coords(-0.11, 0.5)  # or it would move with the width of the numbers
+            axes.yaxis.set_label_coords(-0.11, 0.5)  # else it moves with the width of the numbers
             axes.tick_params(labelsize=7)
             axes.grid(color="0.92")
             axes.set_xlim(0.0, end if self._growing else config.time_limit)
-            axes.tick_params(labelbottom=axes in (self._axes[0], self._axes[-1]))  # those between share the last one's
+            axes.tick_params(labelbottom=axes in (self._axes[0], self._axes[-1]))  # the others share the last one's
         sensor, feed, air, rms, reward = self._axes
         sensor.set_xlim(0.0, period)
         sensor.set_xlabel("time in the period [s]", fontsize=7)
@@ -114,10 +114,10 @@ class Traces:
         self.moving: tuple[Any, ...] = tuple(self._lines)
 
     def update(self, window: Window | None, index: int, history: FloatArray) -> list[Any]:
-        """Draw the last window of a probe, and what is known of its periods: a row each, see ``COLUMNS``.
+        """Draw the last window of a probe and its history, a row per period, see ``COLUMNS``.
 
         Returns:
-            the axes whose limits changed: they hold all that was, so that they seldom do.
+            the axes whose limits changed.
         """
         if window is not None and window.time is not None and window.radial is not None:
             self._lines[0].set_data(window.time, window.radial[:, index] * 1e3)
@@ -134,30 +134,30 @@ class Traces:
 
 
 class Renderer:
-    """Draws one probe of some episodes; keeps what was done since the episode began.
+    """Draws one probe of some episodes, with its history since the start of the episode.
 
     Args:
-        episodes: where the probe and its last window are.
-        index: which probe.
+        episodes: the episodes.
+        index: index of the probe.
     """
 
     def __init__(self, episodes: Episodes, index: int = 0) -> None:
         self.episodes, self.index = episodes, index
         self.history: list[tuple[float, ...]] = []
-        self._felt: Window | None = None  # of the last period
-        self._drawn: tuple[Plate, Helix, Traces] | None = None
+        self._last_window: Window | None = None
+        self._artists: tuple[Plate, Helix, Traces] | None = None
         self._window: tuple[Any, Any] | None = None  # figure and image
 
     def begin(self, info: dict[str, Any]) -> None:
-        """Begin with the info of a reset; the last episode is forgotten, and its tube may have been another."""
-        self.history, self._drawn, self._felt = [(*self._values(info), 0.0, 0.0, 0.0)], None, None
+        """Start with the info of a reset; clears the last episode."""
+        self.history, self._artists, self._last_window = [(*self._values(info), 0.0, 0.0, 0.0)], None, None
 
     def add(self, info: dict[str, Any], reward: float) -> None:
-        """Note a period's info and reward."""
-        self._felt = self.episodes.window
-        assert self._felt is not None
-        assert self._felt.radial is not None
-        radial = self._felt.radial[:, self.index]
+        """Add info and reward of a period."""
+        self._last_window = self.episodes.window
+        assert self._last_window is not None
+        assert self._last_window.radial is not None
+        radial = self._last_window.radial[:, self.index]
         self.history.append((*self._values(info), reward, float(radial.min()), float(radial.max())))
 
     @staticmethod
@@ -167,9 +167,9 @@ class Renderer:
     def picture(self) -> Picture:
         """(h, w, 3) RGB picture; needs no display."""
         simulator = self.episodes.batch.simulators[self.index]
-        plate, helix, traces = self._drawn = self._drawn or self._draw()
+        plate, helix, traces = self._artists = self._artists or self._draw()
         helix.update(simulator)
-        changed = traces.update(self._felt, self.index, np.array(self.history))
+        changed = traces.update(self._last_window, self.index, np.array(self.history))
         return plate.picture(changed)
 
     def show(self) -> None:
@@ -196,17 +196,17 @@ class Renderer:
             self._window = None
 
     def _draw(self) -> tuple[Plate, Helix, Traces]:
-        """Everything that stays for an episode."""
+        """Create the figure of an episode."""
         simulator, config = self.episodes.batch.simulators[self.index], self.episodes.config
         figure = Figure(figsize=SIZE, dpi=DPI)
         halves: Any = figure.subfigures(1, 2, width_ratios=(1.0, 1.05))
         helix = Helix(halves[0], simulator)
         fidelity = self.episodes.fidelity
         everywhere = fidelity.steady_feed is None and not config.returns
-        period = config.period / (fidelity.time_lapse if everywhere else 1.0)  # the longest there is
+        period = config.period / (fidelity.time_lapse if everywhere else 1.0)  # the longest period
         traces = Traces(halves[1], config, period, simulator.scene.tube.helix_length)
         return Plate(figure, (*helix.moving, *traces.moving)), helix, traces
 
     def __getstate__(self) -> dict[str, Any]:
-        """Copies draw anew: neither pixels nor windows are copied."""
-        return self.__dict__ | {"_drawn": None, "_window": None}
+        """Copies and pickles have neither pixels nor windows."""
+        return self.__dict__ | {"_artists": None, "_window": None}

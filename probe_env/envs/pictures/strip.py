@@ -1,8 +1,8 @@
-"""The tube unrolled near the tip, in slow motion: walls, floats, contacts, the cable and the sensor's signals.
+"""Slow motion of the unrolled tube near the tip: walls, floats, contacts, cable and signals of the sensor.
 
-A control period shows the sensor alone. To see the whole chain in between, a copy of the simulator runs ahead in short
-pieces, towards the targets that the period is about to have: a run does not depend on how it is cut, so the copy moves
-as the probe then does, bit for bit.
+A control period stores the motion of the sensor only. For the whole chain, a copy of the simulator advances in short
+pieces towards the targets of the period. A run does not depend on its division, so the copy equals the probe bit for
+bit.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from probe_env.physics.simulation.simulator import Simulator
 from probe_env.scene import Scene
 
 FRAME_PERIOD: Final = 5e-3
-"""Of the dynamics, between two looks at the chain [s]."""
+"""Time of the dynamics between two frames [s]."""
 EVERY: Final = round(FRAME_PERIOD / SAMPLE_PERIOD)
 
 
@@ -42,20 +42,16 @@ class Motion:
     """The n nodes nearest to the tip at k times on the dynamics clock; the tip first."""
 
     scene: Scene
-    sensor: int  # Its node
-    distance: FloatArray  # (n,) of the unstretched probe from the tip [m]
-    lever: FloatArray  # (n,) half the diameter of a float there [m]
-    outer_gap: (
-        FloatArray  # (n,) radial displacement at which a float touches the outer wall [m]; infinite without that wall
-    )
-    floats: BoolArray  # (n,) which nodes are floats
-    time: FloatArray  # (k,) since the first look, ``FRAME_PERIOD`` apart [s]
+    sensor: int  # node of the sensor
+    distance: FloatArray  # (n,) unstretched distance from the tip [m]
+    lever: FloatArray  # (n,) float radius [m]
+    outer_gap: FloatArray  # (n,) radial displacement at contact with the outer wall [m]; infinite without that wall
+    floats: BoolArray  # (n,) whether the node is a float
+    time: FloatArray  # (k,) since the first frame, ``FRAME_PERIOD`` apart [s]
     inserted_length: FloatArray  # (k,) [m]
     axial: FloatArray
-    radial: FloatArray  # (k, n) displacement [m]; radial 0 touches the inner wall, less presses on it
-    signal_time: (
-        FloatArray  # (m,) of the sensor's signals, ``SAMPLE_PERIOD`` apart [s]; less than 0 before the first look
-    )
+    radial: FloatArray  # (k, n) displacement [m]; radial 0 touches the inner wall, negative presses on it
+    signal_time: FloatArray  # (m,) of the signals, ``SAMPLE_PERIOD`` apart [s]; negative before the first frame
     signal_axial: FloatArray
     signal_radial: FloatArray  # (m,) displacement of the sensor [m]
 
@@ -71,12 +67,12 @@ class Motion:
 
 
 class Watch:
-    """Looks at a probe near its tip, at once and then every ``FRAME_PERIOD``.
+    """Records the motion of a probe near its tip, now and then every ``FRAME_PERIOD``.
 
     Args:
-        simulator: the probe now; its time step fits into ``SAMPLE_PERIOD``.
-        length: how far behind the tip to look [m]: at least to the sensor, at most what is inserted.
-        axial, radial: (m,) what the sensor felt up to now, ``SAMPLE_PERIOD`` apart [m].
+        simulator: the probe now; its time step divides ``SAMPLE_PERIOD``.
+        length: recorded length from the tip [m]: at least to the sensor, at most the inserted length.
+        axial, radial: (m,) previous signals of the sensor, ``SAMPLE_PERIOD`` apart [m].
     """
 
     def __init__(self, simulator: Simulator, length: float, axial: FloatArray, radial: FloatArray) -> None:
@@ -85,35 +81,35 @@ class Watch:
         self._nodes = np.arange(min(max(round(length / h), simulator.sensor), simulator.root - 1) + 1)
         self._before, self._samples = len(axial), 0
         self._axial, self._radial = [axial], [radial]
-        self._looks: list[tuple[float, FloatArray]] = []
-        self._look(simulator)
+        self._frames: list[tuple[float, FloatArray]] = []
+        self._add_frame(simulator)
 
     def follow(self, simulator: Simulator, feed_speed: float, air_supply_rate: float, duration: float) -> Simulator:
-        """Look at what the probe does in ``duration`` [s] towards targets [m/s], [m3/s]; it stays as it is.
+        """Record a copy of the probe for ``duration`` [s] towards targets [m/s], [m3/s].
 
         Returns:
-            a probe as it is then.
+            the copy at the end.
 
         Raises:
-            ValueError: a duration that is no whole number of sample periods, or a target out of range.
+            ValueError: the duration is no whole number of sample periods, or a target is out of range.
             SimulationError: the state diverges.
         """
-        ahead, left = copy.deepcopy(simulator), round(duration / SAMPLE_PERIOD)
-        while left > 0:
-            samples = min(left, EVERY - self._samples % EVERY)
+        ahead, remaining = copy.deepcopy(simulator), round(duration / SAMPLE_PERIOD)
+        while remaining > 0:
+            samples = min(remaining, EVERY - self._samples % EVERY)
             run = ahead.advance(feed_speed, air_supply_rate, samples * SAMPLE_PERIOD, SAMPLE_PERIOD, points=("sensor",))
             self._axial.append(run.axial[1:, 0])
             self._radial.append(run.radial[1:, 0])
-            self._samples, left = self._samples + samples, left - samples
+            self._samples, remaining = self._samples + samples, remaining - samples
             if self._samples % EVERY == 0:
-                self._look(ahead)
+                self._add_frame(ahead)
         return ahead
 
     def motion(self) -> Motion:
-        """Everything seen up to now."""
+        """Motion recorded so far."""
         chain, nodes = self._chain, self._nodes
         axial, radial = np.concatenate(self._axial), np.concatenate(self._radial)
-        shapes = np.array([d for _, d in self._looks])
+        shapes = np.array([d for _, d in self._frames])
         return Motion(
             scene=self._scene,
             sensor=self._sensor,
@@ -121,8 +117,8 @@ class Watch:
             lever=chain.lever[nodes],
             outer_gap=chain.outer_gap[nodes],
             floats=chain.contact_stiffness[nodes] > 0.0,
-            time=FRAME_PERIOD * np.arange(len(self._looks)),
-            inserted_length=np.array([length for length, _ in self._looks]),
+            time=FRAME_PERIOD * np.arange(len(self._frames)),
+            inserted_length=np.array([length for length, _ in self._frames]),
             axial=shapes[:, :, 0],
             radial=shapes[:, :, 1],
             signal_time=SAMPLE_PERIOD * (np.arange(len(axial)) + 1 - self._before),
@@ -130,37 +126,37 @@ class Watch:
             signal_radial=radial,
         )
 
-    def _look(self, simulator: Simulator) -> None:
+    def _add_frame(self, simulator: Simulator) -> None:
         length = simulator.length_in_helix
-        self._looks.append((length, simulator.state.d[self._nodes].copy()))
+        self._frames.append((length, simulator.state.d[self._nodes].copy()))
 
 
 FRAMES_PER_SECOND: Final = 25
 SLOWED: Final = 1.0 / (FRAMES_PER_SECOND * FRAME_PERIOD)
-"""How much slower than the probe the strip moves."""
+"""Slow-motion factor."""
 AXIAL: Final = 50.0
-"""Exaggeration of the axial displacement, which would be less than a pixel."""
-SHOWN: Final = 0.5
-"""How much of the signals is shown [s]."""
+"""Exaggeration of the axial displacement, which is less than a pixel to scale."""
+TRACE_SECONDS: Final = 0.5
+"""Duration of the signals in a picture [s]."""
 AHEAD: Final = 0.04
-"""Room before the tip and behind the last node, of the length."""
+"""Margin before the tip and after the last node, relative to the length."""
 BESIDE: Final = 0.12
-"""Room beyond either wall, of the bore."""
+"""Margin beyond each wall, relative to the bore."""
 MARKED: Final = 0.05
-"""Where contacts are marked, beyond their wall, of the bore."""
+"""Distance of contact marks from their wall, relative to the bore."""
 FREE: Final = "#9bb8d9"
-"""Colour of a float that touches nothing."""
+"""Colour of a float without contact."""
 
 
 class Strip:
-    """Pictures of a motion near the tip of a probe; the inner wall is below, the way in is to the right.
+    """Pictures of a motion near the tip of a probe; the inner wall is at the bottom, insertion is to the right.
 
     Args:
-        motion: what is shown.
-        policy: who feeds the probe, for the title.
+        motion: the motion.
+        policy: name of the policy, for the title.
 
     Attributes:
-        axial_scale, radial_scale: of the drawing, pixels a metre.
+        axial_scale, radial_scale: scale of the drawing [pixels/m].
     """
 
     def __init__(self, motion: Motion, policy: str) -> None:
@@ -186,34 +182,34 @@ class Strip:
         self._plate = Plate(figure, moving)
 
     def picture(self, k: int) -> Picture:
-        """(h, w, 3) RGB picture of the k-th look."""
-        motion, drawn = self.motion, self.drawn(k)
-        centre = drawn + [0.0, 1e3] * np.column_stack([np.zeros_like(motion.lever), motion.lever])
+        """(h, w, 3) RGB picture of frame ``k``."""
+        motion, edge = self.motion, self.edge(k)
+        centre = edge + [0.0, 1e3] * np.column_stack([np.zeros_like(motion.lever), motion.lever])
         self._cable.set_data(*centre.T)
         floats = motion.floats
-        top = drawn[floats] + np.column_stack([np.zeros(floats.sum()), 2e3 * motion.lever[floats]])
-        self._floats.set_segments(list(np.stack([drawn[floats], top], axis=1)))
+        top = edge[floats] + np.column_stack([np.zeros(floats.sum()), 2e3 * motion.lever[floats]])
+        self._floats.set_segments(list(np.stack([edge[floats], top], axis=1)))
         self._floats.set_color(self._colours(k))
         bore = motion.scene.tube.inner_diameter * 1e3
         walls = ((motion.on_inner_wall, -MARKED * bore), (motion.on_outer_wall, (1.0 + MARKED) * bore))
         for marks, (touching, height) in zip(self._contacts, walls, strict=True):
-            where = drawn[touching[k], 0]
+            where = edge[touching[k], 0]
             marks.set_data(where, np.full(len(where), height))
         self._sensor.set_data(*centre[motion.sensor][:, None])
         time = motion.signal_time - motion.time[k]
-        seen = (time > -SHOWN - SAMPLE_PERIOD) & (time < 0.5 * SAMPLE_PERIOD)
+        visible = (time > -TRACE_SECONDS - SAMPLE_PERIOD) & (time < 0.5 * SAMPLE_PERIOD)
         for line, values in zip(self._lines, (motion.signal_radial, motion.signal_axial), strict=True):
-            line.set_data(time[seen], values[seen] * 1e3)
+            line.set_data(time[visible], values[visible] * 1e3)
         self._now.set_text(f"{motion.inserted_length[k]:.2f} m inserted, {motion.time[k]:.3f} s")
         return self._plate.picture()
 
-    def drawn(self, k: int) -> FloatArray:
-        """(n, 2) place along the tube [m], the unstretched tip at 0, and edge nearest to the inner wall [mm]."""
+    def edge(self, k: int) -> FloatArray:
+        """(n, 2) position along the tube [m], the unstretched tip at 0, and edge nearest to the inner wall [mm]."""
         motion = self.motion
         return np.column_stack([AXIAL * motion.axial[k] - motion.distance, 1e3 * motion.radial[k]])
 
     def _colours(self, k: int) -> list[str]:
-        """Of the floats: free, on the inner wall, on the outer wall."""
+        """Colours of the floats: free, on the inner wall, on the outer wall."""
         inner, outer = (
             flags[k, self.motion.floats] for flags in (self.motion.on_inner_wall, self.motion.on_outer_wall)
         )
@@ -241,7 +237,7 @@ class Strip:
         axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=4, frameon=False, fontsize=8, borderpad=0.1)
 
     def _float_width(self) -> float:
-        """Points: two fifths of a pitch; the model knows no length of floats."""
+        """Line width [points] of 0.4 pitches; the model has no length of floats."""
         low, high = self._tube.get_xlim()
         pitch = self.motion.scene.probe.float_pitch / (high - low) * self._tube.get_window_extent().width
         return float(0.4 * pitch * 72.0 / DPI)
@@ -251,7 +247,7 @@ class Strip:
         self._lines = []
         signals = ((motion.signal_radial, "radial"), (motion.signal_axial, "axial"))
         for axes, (values, name) in zip(self._signals, signals, strict=True):
-            axes.set(xlim=(-SHOWN, 0.0), ylim=limits_around(values * 1e3, (0.0, QUIET_MM)))
+            axes.set(xlim=(-TRACE_SECONDS, 0.0), ylim=limits_around(values * 1e3, (0.0, QUIET_MM)))
             axes.set_ylabel(f"sensor,\n{name} [mm]", fontsize=8)
             axes.yaxis.set_label_coords(-0.04, 0.5)
             axes.tick_params(labelsize=7, labelbottom=axes is self._signals[-1])

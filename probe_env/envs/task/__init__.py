@@ -1,6 +1,6 @@
 """The control task: actions, observations, rewards, costs and endings of N probes; no simulator."""
 
-from probe_env.envs.task.config import MEASURES, SHOWN, Inspects, Measure, TaskConfig, describe, ungrouped
+from probe_env.envs.task.config import MEASURES, VISIBLE_FIELDS, Measure, ScoredPass, TaskConfig, describe, ungrouped
 from probe_env.envs.task.rules import (
     COSTS,
     END_TOLERANCE,
@@ -26,8 +26,8 @@ from probe_env.envs.task.rules import (
 from probe_env.envs.task.scales import action_in, action_of, share_between, share_of, value_at
 
 __all__ = [
-    "COSTS", "ENDINGS", "END_TOLERANCE", "FAILURES", "MEASURES", "SHOWN", "Inspects", "Measure", "Score", "TaskConfig",
-    "action_in", "action_of", "air_used", "any_ending", "capped_square", "consecutive_slack", "cost_terms", "costs",
-    "describe", "drive_counts", "ending", "metre_cost", "metre_reward", "reward_terms", "score", "share_between",
-    "share_of", "slack", "travel", "ungrouped", "uninspected_weight", "value_at",
+    "COSTS", "ENDINGS", "END_TOLERANCE", "FAILURES", "MEASURES", "VISIBLE_FIELDS", "Measure", "Score", "ScoredPass",
+    "TaskConfig", "action_in", "action_of", "air_used", "any_ending", "capped_square", "consecutive_slack",
+    "cost_terms", "costs", "describe", "drive_counts", "ending", "metre_cost", "metre_reward", "reward_terms", "score",
+    "share_between", "share_of", "slack", "travel", "ungrouped", "uninspected_weight", "value_at",
 ]  # fmt: skip

@@ -22,7 +22,7 @@ from probe_env.envs.task.scales import (
 )
 
 DROPPING_OUT: Final = ("rf_noise", "root_tension")
-"""Observations that keep their last value in a period in which they drop out."""
+"""Observations that keep their last value when they drop out."""
 
 
 def observe(config: TaskConfig, measured: dict[str, FloatArray], noise: FloatArray) -> npt.NDArray[np.float32]:
@@ -30,7 +30,7 @@ def observe(config: TaskConfig, measured: dict[str, FloatArray], noise: FloatArr
 
     Args:
         config: the task.
-        measured: (N,) each in SI units: statistics of the motion, and every other observation by its name.
+        measured: (N,) each in SI units: statistics of the motion, and the other observations by name.
         noise: (N, 2).
     """
     tension = measured["tension_mean_n"] * (1.0 + config.tension_noise * noise[:, 1])
@@ -53,14 +53,14 @@ def observe(config: TaskConfig, measured: dict[str, FloatArray], noise: FloatArr
 def in_si_units(config: TaskConfig, observation: npt.NDArray[np.floating[Any]]) -> dict[str, FloatArray]:
     """Observations (N, d) by name and in SI units (N,): the inverse of ``observe``.
 
-    ``rf_noise`` is the radial rms [m] that would make it, accelerations are rms [m/s2], actions stay as they are.
+    ``rf_noise`` is the equivalent radial rms [m], accelerations are rms [m/s2], actions are not converted.
 
     Raises:
-        ValueError: the observations are not this task's.
+        ValueError: the shape is not that of this task.
     """
     if observation.ndim != 2 or observation.shape[1] != len(config.observations):
         raise ValueError(
-            f"observation of shape {observation.shape} is not (N, {len(config.observations)}), as this task's are"
+            f"observation of shape {observation.shape} is not (N, {len(config.observations)}), the shape of this task"
         )
 
     def value(name: str, column: FloatArray) -> FloatArray:
@@ -73,7 +73,7 @@ def in_si_units(config: TaskConfig, observation: npt.NDArray[np.floating[Any]]) 
 
 
 def normal_draws(rngs: Sequence[np.random.Generator], which: BoolArray, count: int) -> FloatArray:
-    """(N, count) standard normal draws of each probe's own generator; 0 for probes not in ``which`` (N,)."""
+    """(N, count) standard normal draws from the generator of each probe; 0 for probes not in ``which`` (N,)."""
     draws = np.zeros((len(which), count))
     for k in np.flatnonzero(which).tolist():
         rngs[k].standard_normal(out=draws[k])
@@ -84,7 +84,7 @@ class SensorModel:
     """Observations of N probes, with noise and delay.
 
     Attributes:
-        observed: (N, delay + 1, d) last observations, oldest first: the first is the one that is observed now.
+        observed: (N, delay + 1, d) last observations, oldest first; the first is the current output.
     """
 
     def __init__(self, config: TaskConfig, count: int) -> None:
@@ -92,28 +92,28 @@ class SensorModel:
         self.observed = np.zeros((count, config.delay_periods + 1, len(config.observations)), dtype=np.float32)
 
     def fork(self, which: Sequence[int]) -> SensorModel:
-        """The sensor model of copies of some probes, with what they observed so far."""
+        """Sensor model of copies of some probes, with their last observations."""
         new = SensorModel(self.config, 0)
         new.observed = self.observed[list(which)]
         return new
 
     @property
     def observation(self) -> npt.NDArray[np.float32]:
-        """(N, d) what is observed now."""
+        """(N, d) current observation."""
         return self.observed[:, 0]
 
     def begin(self, measured: dict[str, FloatArray], which: BoolArray, noise: FloatArray) -> None:
-        """First observation of some probes' episodes; a late sensor shows it until later ones arrive."""
+        """Set the first observation of some probes; a delayed sensor outputs it until the next one arrives."""
         self.observed[which] = observe(self.config, measured, noise)[which, None]
 
     def update(
         self, measured: dict[str, FloatArray], which: BoolArray, noise: FloatArray, rngs: Sequence[np.random.Generator]
     ) -> None:
-        """Add an observation of some probes; the others keep their last ones.
+        """Add an observation of some probes; the others keep their last one.
 
         Args:
             measured: see ``observe``.
-            which: (N,) whose observations are new.
+            which: (N,) whether the probe has a new observation.
             noise: (N, 2) standard normal draws.
             rngs: the generator of each probe, for drop-outs.
         """

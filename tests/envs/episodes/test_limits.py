@@ -1,4 +1,4 @@
-"""What the step or the model cannot simulate is refused at reset, by name; all else stays finite and in the spaces."""
+"""Contexts beyond the limits of step or model are refused at reset; all others stay finite and in the spaces."""
 
 import ast
 import math
@@ -61,7 +61,7 @@ PULLED = [
 
 @pytest.mark.parametrize(("context", "how"), PULLED)
 @pytest.mark.parametrize("method", ["superelement32", "superelement"])
-def test_drag_that_pulls_harder_than_a_step_holds_is_refused_with_a_step_that_does(context, how, method):
+def test_a_step_that_is_unstable_under_drag_is_refused_with_a_stable_one(context, how, method):
     env_id = IDS[how == REST]
     fidelity = {"method": method, "time_step": 2e-4}
     with pytest.raises(ValueError, match=rf"drag pulls the probe with \S+ N {how}: \w+ holds with a") as error:
@@ -80,7 +80,7 @@ def test_a_probe_that_turns_too_far_is_refused():
         gym.make("probe_env/Snapshot-v1").reset(options=context)
 
 
-def test_what_is_refused_changes_nothing():
+def test_a_refused_reset_changes_nothing():
     env = gym.make_vec("probe_env/Snapshot-v1", 2, vectorization_mode="vector_entry_point")
     runs = []
     for refused in (False, True):
@@ -93,7 +93,7 @@ def test_what_is_refused_changes_nothing():
 
 
 def test_no_shipped_or_drawn_tube_and_no_design_is_refused():
-    """Twice over: the bounds are far from where the task is."""
+    """With a margin of two in the rotation."""
     rng = np.random.default_rng(0)
     tubes = [context for split in ("train", "validation", "test") for context in load_contexts(split)]
     starts = EpisodeSampler(TaskConfig(), "random", "random", 0.2, MOST_AIR)
@@ -112,7 +112,7 @@ def test_no_shipped_or_drawn_tube_and_no_design_is_refused():
 
 @pytest.mark.parametrize("stiffness", [1e5, 1e6, 1e7, 1e8])
 @pytest.mark.parametrize("preset", FIDELITIES.values(), ids=FIDELITIES)
-def test_the_fidelity_that_a_refusal_names_is_accepted_and_holds(stiffness, preset):
+def test_the_fidelity_in_the_error_message_is_accepted_and_stable(stiffness, preset):
     fidelity, scene = preset, Scene(carrier_length=5.0, contact={"stiffness": stiffness})
     limit = FULL / math.sqrt(stiffness / (0.111 * 0.025))
     if fidelity.method in ON_NODES:
@@ -128,7 +128,7 @@ def test_the_fidelity_that_a_refusal_names_is_accepted_and_holds(stiffness, pres
     assert not batch.advance(0.4, MOST_AIR, 0.1).diverged.any()
 
 
-def test_auto_takes_a_step_that_holds_for_all_that_is_drawn():
+def test_auto_selects_a_step_that_is_stable_for_all_samples():
     for env_id, probes in ((i, p) for i in IDS for p in ("scene", "random")):
         episodes = gym.make(env_id, fidelity="auto", probes=probes).unwrapped.episodes
         stiffest = Context(contact_stiffness=1.4e5)
@@ -141,8 +141,8 @@ def test_auto_takes_a_step_that_holds_for_all_that_is_drawn():
     )
 
 
-def test_steady_sliding_is_what_it_integrates():
-    """Against the sum over half a million pieces."""
+def test_steady_sliding_equals_numerical_integration():
+    """With half a million pieces."""
     scene = Scene(probe={"guide_float_diameter": 0.02, "carrier_float_diameter": 0.016, "guide_length": 10.0})
     pieces = 500_000
     ds, r = 60.0 / pieces, 0.6
@@ -173,8 +173,8 @@ def test_the_softest_wall_buckles_where_the_cable_between_floats_does():
     assert 2.0 * math.sqrt(probe.flexural_rigidity * foundation) == pytest.approx(euler, rel=1e-12)
 
 
-def hostile(rng):
-    """A valid context far from the tubes of the task, evenly over the orders of magnitude."""
+def extreme(rng):
+    """A valid context far from the tubes of the task, log-uniform."""
     return {
         "friction": float(rng.uniform(0.0, 1.0)),
         "contact_stiffness": float(10.0 ** rng.uniform(2.0, 8.0)),
@@ -185,8 +185,8 @@ def hostile(rng):
 
 @pytest.mark.parametrize("stiffness", [1.5e5, 1.9e5, 2.05e5, 2.2e5, 2.4e5, 3e5])
 @pytest.mark.parametrize("fidelity", FIDELITIES.values(), ids=FIDELITIES)
-def test_what_is_accepted_has_a_step_that_is_known_to_hold(fidelity, stiffness):
-    """Between the longest step known to hold and the one at which contact breaks no simulator may be warned of."""
+def test_an_accepted_step_is_known_to_be_stable(fidelity, stiffness):
+    """No warning between the longest step known to be stable and the limit of contact."""
     env = gym.make("probe_env/Snapshot-v1", fidelity=fidelity)
     known = METHODS[fidelity.method].stable_step(Scene(contact={"stiffness": stiffness}), 4)
     if fidelity.time_step <= known:
@@ -197,13 +197,13 @@ def test_what_is_accepted_has_a_step_that_is_known_to_hold(fidelity, stiffness):
 
 
 @pytest.mark.parametrize(("env_id", "periods"), [(IDS[0], 4), (IDS[1], 12)])
-def test_hostile_contexts_are_refused_or_stay_finite_and_in_the_space(env_id, periods):
-    """A step that does not hold diverges within 0.2 s; what diverges otherwise was compressed, ended and said so."""
+def test_extreme_contexts_are_refused_or_stay_finite_and_in_the_space(env_id, periods):
+    """An unstable step diverges within 0.2 s; other divergence is of a probe under compression and is reported."""
     rng, count = np.random.default_rng(5), 8
     env = gym.make_vec(env_id, count, vectorization_mode="vector_entry_point", config={"privileged": True})
     episodes, space, accepted, refused = env.episodes, env.single_observation_space, [], 0
     while len(accepted) < count:
-        context = hostile(rng)
+        context = extreme(rng)
         try:
             episodes.reset([0], {0: np.random.default_rng(0)}, {0: context})
             accepted.append(context)

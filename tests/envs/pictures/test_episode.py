@@ -1,4 +1,4 @@
-"""Pictures of an episode: right although most of them is kept from the last one, and cheap because of it."""
+"""Pictures of an episode: equal with and without a stored background."""
 
 import copy
 
@@ -20,10 +20,10 @@ def started(env_id="probe_env/Insertion-v1", **arguments):
     return env
 
 
-def anew(env):
-    """The picture by a renderer that has drawn nothing yet."""
+def from_scratch(env):
+    """The picture of a new renderer."""
     fresh = Renderer(env.episodes)
-    fresh.history, fresh._felt = env._renderer.history, env._renderer._felt
+    fresh.history, fresh._last_window = env._renderer.history, env._renderer._last_window
     return fresh.picture()
 
 
@@ -31,26 +31,26 @@ def anew(env):
     ("env_id", "arguments"),
     [("probe_env/Insertion-v1", {"fidelity": "fast"}), ("probe_env/Snapshot-v1", {"scene": {"carrier_length": 30.0}})],
 )
-def test_what_is_kept_is_what_would_be_drawn_anew(env_id, arguments):
-    """Pixel by pixel, while axes grow with what is shown."""
+def test_pictures_equal_those_of_a_new_renderer(env_id, arguments):
+    """Pixel by pixel, while axis limits change."""
     env = started(env_id, **arguments)
     env.reset(seed=0, options=LOUD)
     limits = set()
     for k in range(25):
         env.step(np.ones(2, dtype=np.float32))
         picture = env.render()
-        limits.add(tuple(axes.get_ylim() for axes in env._renderer._drawn[2]._axes))
+        limits.add(tuple(axes.get_ylim() for axes in env._renderer._artists[2]._axes))
         if k % 6 == 0:
-            assert (picture == anew(env)).all()
-    assert len(limits) >= 3  # so axes were drawn again over what is kept
+            assert (picture == from_scratch(env)).all()
+    assert len(limits) >= 3  # axes were redrawn in the background
 
 
-def test_one_s_own_tube_is_drawn():
-    """Its length is where the axes end, its bore and floats are said, and its turns are drawn."""
+def test_a_custom_tube_is_drawn():
+    """Axis limits, bore, floats and turns are those of the tube."""
     tube = {"tube": {"helix_length": 20.0, "inner_diameter": 0.023, "helix_diameter": 1.3}}
     env = started(tube=probe_env.Plant.model_validate(tube | {"probe": {"carrier_float_diameter": 0.0185}}))
     env.render()
-    plate, helix, traces = env._renderer._drawn
+    plate, helix, traces = env._renderer._artists
     assert [axes.get_xlim()[1] for axes in traces._axes[1:]] == [20.0] * 4
     texts = [text.get_text() for text in helix._title.axes.texts]
     assert "bore 23 mm, floats 18.5 and 19 mm" in texts
@@ -70,7 +70,7 @@ def test_a_copy_draws_the_same():
 
 
 def test_human_mode_has_one_window_for_all_episodes(monkeypatch):
-    """The window of a display is left out: what is asked of matplotlib is looked at."""
+    """Without a display: the calls of matplotlib are checked."""
     monkeypatch.setattr(plt, "pause", lambda seconds: None)
     before = plt.get_fignums()
     env = gym.make("probe_env/Insertion-v1", fidelity="fast", render_mode="human").unwrapped
@@ -78,16 +78,16 @@ def test_human_mode_has_one_window_for_all_episodes(monkeypatch):
         env.reset(seed=seed)
         env.step(np.zeros(2, dtype=np.float32))
         (number,) = set(plt.get_fignums()) - set(before)
-        (shown,) = plt.figure(number).axes[0].images
-        assert (shown.get_array() == env._renderer.picture()).all()
+        (image,) = plt.figure(number).axes[0].images
+        assert (image.get_array() == env._renderer.picture()).all()
         assert env.render() is None
-    plt.close(number)  # by hand
+    plt.close(number)  # as a user does
     env.render()
     assert len(set(plt.get_fignums()) - set(before)) == 1
     env.close()
     assert plt.get_fignums() == before
 
 
-def test_limits_are_round_and_hold_the_value():
+def test_limits_are_round_and_include_the_value():
     values = [0.0, 0.011, -3.0, 10.0, 0.2, -51.0]
     assert [outward(value) for value in values] == pytest.approx([0.0, 0.02, -5.0, 10.0, 0.2, -100.0], rel=1e-12)

@@ -1,4 +1,4 @@
-"""Slow motion near the tip: looking changes nothing, and what is drawn is what the simulator has."""
+"""Slow motion near the tip: recording changes nothing, and pictures equal the state of the simulator."""
 
 import copy
 
@@ -16,7 +16,7 @@ from probe_env.physics.simulation.signals import SAMPLE_PERIOD, dominant_frequen
 NOTHING = np.zeros(0)
 
 
-def seen(simulator, duration, length=10.0):
+def record(simulator, duration, length=10.0):
     watch = Watch(simulator, length, NOTHING, NOTHING)
     watch.follow(simulator, None, None, duration)
     return watch.motion()
@@ -24,7 +24,7 @@ def seen(simulator, duration, length=10.0):
 
 @pytest.fixture(scope="module")
 def ringing():
-    """Table 2's probe in sliding motion at 32.5 m, where the axial motion has a peak of its own."""
+    """Table 2's probe in sliding motion at 32.5 m, where the axial motion has a peak of its signal_."""
     scene = Scene(carrier_length=30.0, probe={"carrier_float_diameter": 0.0185})
     simulator = Simulator(scene, method="superelement32", time_step=2e-4, perturbation=1e-7)
     simulator.advance(duration=2.0)
@@ -33,7 +33,7 @@ def ringing():
 
 @pytest.fixture(scope="module")
 def motion(ringing):
-    return seen(ringing, 0.2)
+    return record(ringing, 0.2)
 
 
 def mask(picture, colour):
@@ -61,12 +61,12 @@ def tube_of(picture, strip):
         ("probe_env/Insertion-v1", "standard"),
         ("probe_env/Insertion-v1", "fast"),
         ("probe_env/Snapshot-v1", "study"),
-        ("probe_env/Insertion-v1", Fidelity(time_lapse=125.0)),  # 8 ms a period: not whole pictures
+        ("probe_env/Insertion-v1", Fidelity(time_lapse=125.0)),  # 8 ms per period: not whole frames
         ("probe_env/Snapshot-v1", "standard"),
     ],
 )
-def test_looking_changes_nothing_and_sees_what_happens(env_id, fidelity):
-    """The environment goes on bit for bit, and the probe that was looked at ends a period as the environment's does."""
+def test_recording_changes_nothing_and_equals_the_environment(env_id, fidelity):
+    """The environment continues bit for bit, and the recorded copy ends a period in the environment's state."""
     env, other = (gym.make(env_id, fidelity=fidelity, scene={"carrier_length": 5.0}).unwrapped for _ in range(2))
     for each in (env, other):
         each.reset(seed=5)
@@ -86,36 +86,37 @@ def test_looking_changes_nothing_and_sees_what_happens(env_id, fidelity):
     motion = watch.motion()
     assert len(motion.time) == int(4 * period / FRAME_PERIOD + 1e-9) + 1
     window = episodes.window
-    for signal, felt in ((motion.signal_axial, window.axial), (motion.signal_radial, window.radial)):
-        assert (signal[-len(felt) :] == felt[:, 0]).all()
+    for signal, samples in ((motion.signal_axial, window.axial), (motion.signal_radial, window.radial)):
+        assert (signal[-len(samples) :] == samples[:, 0]).all()
     every = round(FRAME_PERIOD / SAMPLE_PERIOD)
     for shape, signal in ((motion.axial, motion.signal_axial), (motion.radial, motion.signal_radial)):
         assert (shape[1:, motion.sensor] == signal[every - 1 :: every]).all()
 
 
 @pytest.mark.slow
-def test_the_probe_s_own_frequency_is_in_the_pictures(ringing):
-    """The sensor's mark, found by its colour in 2 s of pictures, moves as the simulator's own signal, within a pixel.
+def test_the_frequency_of_the_probe_is_in_the_pictures(ringing):
+    """The sensor's mark, found by its colour in 2 s of pictures, moves as the simulator's signal, within a pixel.
 
-    Pictures 5 ms apart hold 100 Hz, and the bins of 0.5 Hz are those of the signal at 1 kHz. The probe rings at 15.0 to
-    15.5 Hz there (twelve members, both precisions).
+    Pictures 5 ms apart hold 100 Hz, and the bins of 0.5 Hz are those of the signal at 1 kHz. The probe vibrates at
+    15.0 to 15.5 Hz there (twelve members, both precisions).
     """
-    own = copy.deepcopy(ringing).advance(duration=2.0, points=("sensor",)).axial[:, 0]
-    motion = seen(copy.deepcopy(ringing), 2.0)
+    simulated = copy.deepcopy(ringing).advance(duration=2.0, points=("sensor",)).axial[:, 0]
+    motion = record(copy.deepcopy(ringing), 2.0)
     strip = Strip(motion, "constant")
     columns = []
     for k in range(len(motion.time)):
         green = mask(tube_of(strip.picture(k), strip), GREEN).sum(axis=0)
         columns.append((np.arange(len(green)) * green).sum() / green.sum())
     pixel = 1.0 / strip.axial_scale / AXIAL
-    drawn = np.array(columns) * pixel
-    assert np.ptp(drawn) > 4.0 * pixel  # it is seen to move
+    positions = np.array(columns) * pixel
+    assert np.ptp(positions) > 4.0 * pixel  # the mark moves
     (frequency,), (expected,) = (
-        dominant_frequencies(signal, period, 1) for signal, period in ((drawn, FRAME_PERIOD), (own, SAMPLE_PERIOD))
+        dominant_frequencies(signal, period, 1)
+        for signal, period in ((positions, FRAME_PERIOD), (simulated, SAMPLE_PERIOD))
     )
     assert frequency == pytest.approx(expected, abs=0.51)
     assert 13.0 < expected < 17.0
-    assert drawn - drawn.mean() == pytest.approx(own[::5] - own[::5].mean(), abs=pixel)
+    assert positions - positions.mean() == pytest.approx(simulated[::5] - simulated[::5].mean(), abs=pixel)
 
 
 def test_walls_and_floats_are_drawn_to_scale(motion):
@@ -123,23 +124,23 @@ def test_walls_and_floats_are_drawn_to_scale(motion):
     inside = tube_of(strip.picture(0), strip)
     outer, inner = walls_of(inside)
     assert inner - outer == pytest.approx(24.2e-3 * strip.radial_scale, abs=1.0)  # pixels
-    drawn, floats = strip.drawn(0), motion.floats
-    assert (drawn[:, 1] == 1e3 * motion.radial[0]).all()
-    assert np.abs(drawn[:, 0] + motion.distance - AXIAL * motion.axial[0]).max() < 1e-12
+    edge, floats = strip.edge(0), motion.floats
+    assert (edge[:, 1] == 1e3 * motion.radial[0]).all()
+    assert np.abs(edge[:, 0] + motion.distance - AXIAL * motion.axial[0]).max() < 1e-12
     strip.picture(0)
     bars = np.array(strip._floats.get_segments())
     assert bars[:, 1, 1] - bars[:, 0, 1] == pytest.approx(np.where(motion.distance[floats] <= 2.5, 19.0, 18.5))
     assert np.flatnonzero(floats).tolist() == list(range(0, 401, 4))
-    said = " ".join(text.get_text() for text in strip._now.figure.texts)
-    assert f"stretched x {strip.radial_scale / strip.axial_scale:.0f}" in said
-    assert "last 10 m" in said
-    assert "8 times slower" in said
+    texts = " ".join(text.get_text() for text in strip._now.figure.texts)
+    assert f"stretched x {strip.radial_scale / strip.axial_scale:.0f}" in texts
+    assert "last 10 m" in texts
+    assert "8 times slower" in texts
     assert pytest.approx(1.0) == SLOWED * FRAMES_PER_SECOND * FRAME_PERIOD
-    assert "bore 24.2 mm, floats 18.5 and 19 mm" in said
+    assert "bore 24.2 mm, floats 18.5 and 19 mm" in texts
 
 
 def test_contacts_are_those_of_the_model(ringing, motion):
-    """Flags of the chain's own gaps, and as many marks at each wall as there are contacts."""
+    """Flags by the gaps of the chain, and one mark per contact at each wall."""
     chain, n = ringing.chain, len(motion.distance)
     stiff = chain.contact_stiffness[:n] > 0.0
     assert (motion.on_inner_wall == (stiff & (motion.radial < 0.0))).all()
@@ -155,18 +156,18 @@ def test_contacts_are_those_of_the_model(ringing, motion):
         assert marks == flags[k].sum()
 
 
-def test_without_an_outer_wall_none_is_touched(ringing):
+def test_without_an_outer_wall_there_is_no_contact(ringing):
     scene = ringing.scene.model_copy(update={"contact": {"walls": "inner"}})
-    motion = seen(Simulator(scene, method="imex", time_step=2e-4), 0.02, length=100.0)
+    motion = record(Simulator(scene, method="imex", time_step=2e-4), 0.02, length=100.0)
     assert not motion.on_outer_wall.any()
     assert motion.distance[-1] == pytest.approx(32.5 - 0.025)  # what is inserted, without the held root
     assert Strip(motion, "constant").picture(1).shape == (600, 1000, 3)
 
 
-def test_a_probe_that_is_fed_stays_in_the_picture():
-    """Nodes are counted from the tip: those that are fed in at the entrance do not move the others."""
+def test_a_fed_probe_stays_in_the_picture():
+    """Nodes are numbered from the tip: new nodes at the entrance do not move the others."""
     simulator = Simulator(Scene(carrier_length=5.0, feed_speed=1.0), method="imex", time_step=2e-4, growing=True)
-    motion = seen(simulator, 0.2, length=3.0)
+    motion = record(simulator, 0.2, length=3.0)
     assert motion.inserted_length[-1] == pytest.approx(7.7, abs=1e-9)
     assert motion.axial.shape == (41, 121)
     assert simulator.inserted_length == 7.5

@@ -1,4 +1,4 @@
-"""Plants: a file of one's own tubes is read, refused by name, and the same in every environment."""
+"""Plants: files of custom tubes, their errors, and the same plant in every environment."""
 
 import gymnasium as gym
 import numpy as np
@@ -55,10 +55,10 @@ def test_a_plant_is_a_scene_a_task_and_tubes(file):
 
 
 @pytest.mark.parametrize(
-    "given", [lambda path: path, str, Plant.from_toml, lambda path: Plant.from_toml(path).model_dump()]
+    "form", [lambda path: path, str, Plant.from_toml, lambda path: Plant.from_toml(path).model_dump()]
 )
-def test_every_environment_takes_it_in_every_form(file, given):
-    tube, plant = given(file), Plant.from_toml(file)
+def test_every_environment_accepts_every_form_of_a_plant(file, form):
+    tube, plant = form(file), Plant.from_toml(file)
     single = gym.make("probe_env/Insertion-v1", tube=tube, **SETTINGS)
     assert single.unwrapped.config == plant.configured() == single.unwrapped.episodes.config
     batch = gym.make_vec("probe_env/Insertion-v1", 2, tube=tube, **SETTINGS)
@@ -67,15 +67,15 @@ def test_every_environment_takes_it_in_every_form(file, given):
     assert (batch.reset(seed=5)[0][0] == first).all()
     native.seed(5)
     assert (native.reset()[0] == first).all()
-    assert info["feed_speed"] == pytest.approx(0.15)  # 0.2 m/s, with which it settles elsewhere, is beyond the range
+    assert info["feed_speed"] == pytest.approx(0.15)  # the default of 0.2 m/s is out of range
     assert info["context"] in [context.model_dump() for context in plant.contexts(1024)]
     assert gym.make("probe_env/Snapshot-v1", tube=tube).unwrapped.config.period == 0.1
 
 
 def test_an_insertion_ends_where_the_helix_does():
-    """A fed probe needs no carrier length that fits the tube: the scene's default of 50 m is cut to what there is."""
-    for given in ({"tube": {"tube": {"helix_length": 8.0}}}, {"scene": {"tube": {"helix_length": 8.0}}}):
-        env = gym.make("probe_env/Insertion-v1", **given, **SETTINGS)
+    """The default carrier length of 50 m is cut to the tube."""
+    for arguments in ({"tube": {"tube": {"helix_length": 8.0}}}, {"scene": {"tube": {"helix_length": 8.0}}}):
+        env = gym.make("probe_env/Insertion-v1", **arguments, **SETTINGS)
         env.reset(seed=0)
         ended = False
         while not ended:
@@ -84,10 +84,10 @@ def test_an_insertion_ends_where_the_helix_does():
         assert info["episode_kpis"]["complete"] == 1.0
 
 
-def test_what_cannot_be_is_refused():
+def test_contradicting_arguments_are_refused():
     for env_id, arguments, message in (
         ("Insertion", {"tube": {}, "scene": {}}, "tube and scene: give one of them"),
-        ("Insertion", {"tube": {}, "config": TaskConfig()}, "config beside a tube must be a mapping"),
+        ("Insertion", {"tube": {}, "config": TaskConfig()}, "config with a tube must be a mapping"),
         ("Insertion", {"tube": "none.toml"}, "none.toml"),
         ("Design", {"tube": {"tube": {"helix_length": 20.0}}}, "helix_length = 20 m: designs are compared as far as"),
     ):
@@ -113,10 +113,10 @@ BROKEN = {
     "air.drag_coefficient: 2e-06 to 2 times its median is beyond 0.1 to 10 times": {
         "air": {"drag_coefficient": {"low": 0.0, "high": 0.5}}
     },
-    r"task.ramp: stands in \[feed\]": {"task": {"ramp": 1.0}},
-    r"task.air_lag: stands in \[air\]": {"task": {"air_lag": 1.0}},
-    r"task.scene: stands in \[tube\]": {"task": {"scene": {}}},
-    "task.privileged: is set by who looks at it": {"task": {"privileged": True}},
+    r"task.ramp: belongs in \[feed\]": {"task": {"ramp": 1.0}},
+    r"task.air_lag: belongs in \[air\]": {"task": {"air_lag": 1.0}},
+    r"task.scene: belongs in \[tube\]": {"task": {"scene": {}}},
+    "task.privileged: is set by the policy": {"task": {"privileged": True}},
     "task.perod: there is no such field; accepted: ": {"task": {"perod": 1.0}},
     "feed.ramp: .*outside the accepted range": {"feed": {"ramp": -1.0}},
     r"feed_speeds = \(0.3, 0.1\) must ascend": {"feed": {"feed_speeds": [0.3, 0.1]}},
@@ -135,7 +135,7 @@ BROKEN = {
 }  # fmt: skip
 
 
-def test_what_is_wrong_with_a_file_is_one_line_that_names_file_and_field(tmp_path):
+def test_errors_are_one_line_with_file_and_field(tmp_path):
     path = tmp_path / "mine.toml"
     for message, tables in BROKEN.items():
         path.write_text(tomli_w.dumps(tables))
@@ -145,8 +145,8 @@ def test_what_is_wrong_with_a_file_is_one_line_that_names_file_and_field(tmp_pat
         assert "\n" not in str(error.value)
 
 
-def test_tubes_are_spread_over_what_is_known_and_prefixes_stay(file):
-    """Of 300 tubes; the bounds are those of Kolmogorov's test at 1e-4, which a spread sequence is far within."""
+def test_tubes_are_spread_over_their_distributions_and_prefixes_stay(file):
+    """300 tubes; Kolmogorov's test at 1e-4, which a low-discrepancy sequence passes by far."""
     plant = Plant.from_toml(file)
     tubes = plant.contexts(300)
     assert tubes[:7] == plant.contexts(7)
@@ -166,14 +166,14 @@ def test_tubes_are_spread_over_what_is_known_and_prefixes_stay(file):
 
 
 @pytest.mark.parametrize(("diameters", "seed"), [((1.0,), 0), ((1.0, 2.5), 1), (HELIX_DIAMETERS, 2)])
-def test_every_diameter_has_tubes_over_all_of_the_rest(diameters, seed):
-    """Shares sum up to within one tube's of their mean, in every prefix of whole blocks: means differ by 2 / n at most.
+def test_every_diameter_has_tubes_over_the_whole_distribution(diameters, seed):
+    """In every prefix of whole blocks, means of the shares differ by at most 2 / n between diameters.
 
-    Dealt out in turn, Halton's sequences gave every second diameter one half of the friction.
+    Without the assignment, Halton's sequence gave every second diameter one half of the friction range.
     """
     tube = {"helix_diameter": list(diameters)}
-    known = {"friction": {"low": 0.1, "high": 0.2}, "stiffness": {"low": 0.9e5, "high": 1.1e5}}
-    tubes = Plant.model_validate({"tube": tube, "contact": known}).contexts(48, seed)
+    contact = {"friction": {"low": 0.1, "high": 0.2}, "stiffness": {"low": 0.9e5, "high": 1.1e5}}
+    tubes = Plant.model_validate({"tube": tube, "contact": contact}).contexts(48, seed)
     for count in (24, 48):
         for name, low, width in (("friction", 0.1, 0.1), ("contact_stiffness", 0.9e5, 0.2e5)):
             shares = {
@@ -184,18 +184,18 @@ def test_every_diameter_has_tubes_over_all_of_the_rest(diameters, seed):
             assert all(np.ptp(values) > 0.5 for values in shares.values()) or count == 24
 
 
-def test_a_normal_figure_is_cut_off_where_its_range_ends():
+def test_a_normal_figure_is_truncated_to_its_range():
     figure = Normal(mean=0.05, std=0.1)
     values = quantiles(figure, np.linspace(1e-6, 1.0 - 1e-6, 1001), 0.0, 1.0)
     assert values.min() >= 0.0
     assert (np.diff(values) > 0.0).all()
-    # the median of a normal distribution that is cut off at 0, by the definition
+    # median of a normal distribution truncated at 0, by definition
     whole = norm(0.05, 0.1)
     assert whole.cdf(middle(figure, 0.0, 1.0)) == pytest.approx(0.5 * (whole.cdf(0.0) + whole.cdf(1.0)))
     assert middle(0.2, 0.0, 1.0) == 0.2
 
 
-def test_feed_and_air_are_set_in_the_devices_steps():
+def test_targets_are_rounded_to_the_resolution_of_the_devices():
     task = Plant(feed={"feed_speed_step": 0.05}, air={"air_supply_step": 10.0 / 3600.0}).configured()
     targets = task.targets(np.random.default_rng(0).uniform(-1.0, 1.0, (200, 2)))
     feed, air = targets[:, 0], targets[:, 1] * 360.0
@@ -206,16 +206,16 @@ def test_feed_and_air_are_set_in_the_devices_steps():
     assert np.abs(targets - TaskConfig().targets(np.random.default_rng(0).uniform(-1.0, 1.0, (200, 2)))).max() <= 0.025
 
 
-def test_contexts_of_ones_own_stay_beside_a_tube(file):
-    own = [{"friction": 0.3, "helix_diameter": 1.1}]
-    env = gym.make("probe_env/Insertion-v1", tube=file, contexts=own, **SETTINGS)
-    assert env.reset(seed=0)[1]["context"] == Context.model_validate(own[0]).model_dump()
+def test_custom_contexts_are_used_with_a_tube(file):
+    contexts = [{"friction": 0.3, "helix_diameter": 1.1}]
+    env = gym.make("probe_env/Insertion-v1", tube=file, contexts=contexts, **SETTINGS)
+    assert env.reset(seed=0)[1]["context"] == Context.model_validate(contexts[0]).model_dump()
     assert env.unwrapped.config.scene.tube.inner_diameter == 22.1e-3
 
 
-def test_what_belongs_to_the_task_or_to_table_2_is_refused_beside_a_tube():
-    for make in (lambda **given: gym.make("probe_env/Insertion-v1", **given), ProbeVecEnv):
-        with pytest.raises(ValueError, match="contexts = 'test' are table 2's tubes: beside a tube leave it out"):
+def test_shipped_contexts_and_task_fields_are_refused_as_arguments_with_a_tube():
+    for make in (lambda **form: gym.make("probe_env/Insertion-v1", **form), ProbeVecEnv):
+        with pytest.raises(ValueError, match="contexts = 'test' are table 2's tubes: with a tube leave contexts out"):
             make(tube={"tube": {"inner_diameter": 0.023}}, contexts="test")
     with pytest.raises(TypeError, match=r"inspects is a field of the task: give config=\{'inspects': ...\}"):
         gym.make("probe_env/Inspection-v0", inspects="back")

@@ -1,4 +1,4 @@
-"""A calibration's posterior in a plant's file: where it may stand, what it replaces, what is refused."""
+"""Posterior of a calibration in the file of a plant: what it replaces, and errors."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ RNG = np.random.default_rng(3)
 FRICTION = RNG.uniform(0.12, 0.2, N)
 DRAWS = {
     "friction": FRICTION.tolist(),
-    "contact_stiffness": (1e5 * FRICTION / 0.16).tolist(),  # wholly tied to the friction
+    "contact_stiffness": (1e5 * FRICTION / 0.16).tolist(),  # determined by the friction
     "drag_coefficient": (0.44 * RNG.uniform(0.9, 1.1, N)).tolist(),
     "damping_time": RNG.uniform(5e-5, 8e-5, N).tolist(),
 }
@@ -25,7 +25,7 @@ DRAWS = {
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """With a calibration in it."""
+    """A folder with a calibration."""
     (tmp_path / "calibration.json").write_text(json.dumps({"friction": {"mean": 0.16}, "draws": DRAWS}))
     return tmp_path
 
@@ -36,13 +36,13 @@ def plant_of_text(folder: Path, text: str) -> Plant:
     return Plant.from_toml(folder / "tube.toml")
 
 
-def test_tubes_are_draws_that_belong_together(folder: Path) -> None:
-    """Every tube is a draw: stiffness is tied to friction as it is in the draws; the middle of all is theirs."""
+def test_tubes_are_joint_draws(folder: Path) -> None:
+    """Stiffness is a function of friction, as in the draws; medians are those of the draws."""
     plant = plant_of_text(folder, 'posterior = "calibration.json"\n[tube]\nhelix_diameter = 1.4\n')
     tubes = plant.contexts(96)
     for tube in tubes:
         assert tube.contact_stiffness == pytest.approx(1e5 * tube.friction / 0.16, rel=1e-3)  # rounded to 4 digits
-    # 96 points spread evenly over 200 draws: the mean of their order is that of all within a spacing
+    # 96 points spread evenly over 200 draws: their mean is that of all draws within a spacing
     assert np.mean([t.friction for t in tubes]) == pytest.approx(FRICTION.mean(), abs=0.08 / 24)
     assert plant.scene.contact.friction == pytest.approx(np.median(FRICTION))
     assert plant.scene.probe.damping_time == pytest.approx(np.median(DRAWS["damping_time"]))
@@ -50,8 +50,8 @@ def test_tubes_are_draws_that_belong_together(folder: Path) -> None:
     assert set(np.round(factors, 3)) <= {round(v + d, 3) for v in DRAWS["drag_coefficient"] for d in (-1e-3, 0.0, 1e-3)}
 
 
-def test_it_is_part_of_the_plant(folder: Path) -> None:
-    """Draws go through JSON with the plant, and an environment's specification plays the same tubes."""
+def test_draws_are_part_of_the_plant(folder: Path) -> None:
+    """Draws are stored with the plant in JSON, and environments sample from them."""
     plant = plant_of_text(folder, 'posterior = "calibration.json"')
     assert Plant.model_validate(json.loads(plant.model_dump_json())) == plant
     env = gym.make("probe_env/Insertion-v1", tube=plant, fidelity="fast")
@@ -59,8 +59,8 @@ def test_it_is_part_of_the_plant(folder: Path) -> None:
     assert info["context"]["friction"] in np.round(FRICTION, 4)
 
 
-def test_what_is_no_calibration_is_refused(tmp_path: Path) -> None:
-    """In one line that names the file and what is wrong."""
+def test_files_that_are_no_calibration_are_refused(tmp_path: Path) -> None:
+    """In one line with file and error."""
     for content, problem in (
         ("{", "not JSON"),
         ("[]", "draws: missing"),
@@ -77,17 +77,17 @@ def test_what_is_no_calibration_is_refused(tmp_path: Path) -> None:
         assert "calibration.json: " in str(error.value)
 
 
-def test_draws_without_a_file_are_checked_alike() -> None:
+def test_draws_without_a_file_are_checked() -> None:
     with pytest.raises(ValueError, match=r"posterior\.draws\.friction = 7\.0 is outside the accepted range 0 to 1"):
         Plant.model_validate({"posterior": {"friction": [0.1, 7.0]}})
 
 
 @pytest.mark.parametrize("misspecified", [False, True])
-def test_a_calibration_that_calls_itself_misspecified_is_warned_of(folder: Path, misspecified: bool) -> None:
+def test_a_misspecified_calibration_warns(folder: Path, misspecified: bool) -> None:
     (folder / "calibration.json").write_text(json.dumps({"misspecified": misspecified, "draws": DRAWS}))
-    with warnings.catch_warnings(record=True) as heard:
+    with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         plant_of_text(folder, 'posterior = "calibration.json"')
-    assert len(heard) == misspecified
-    for warning in heard:
-        assert "calibration.json: the calibration is misspecified: the model cannot have made" in str(warning.message)
+    assert len(caught) == misspecified
+    for warning in caught:
+        assert "calibration.json: the calibration is misspecified: the model does not fit" in str(warning.message)

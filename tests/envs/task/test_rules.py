@@ -1,4 +1,4 @@
-"""What a metre costs, what actions ask for, when drive is lost, and what is unsafe beside the reward."""
+"""Cost of a metre, conversion of actions, lost drive, and costs of unsafe events."""
 
 import numpy as np
 import pytest
@@ -32,22 +32,22 @@ N = 200
 CONFIG = TaskConfig(vibration_weight=1.7, time_weight=0.13, air_weight=0.31, progress_weight=0.9)
 
 
-def drawn():
+def random_metres():
     """Ratios of vibration to its limit, feed speeds and air supplies of N metres, within the task's ranges."""
     ratio = RNG.uniform(0.0, 2.0 * CONFIG.ratio_cap, N)
     return ratio, RNG.uniform(*CONFIG.feed_speeds, N), RNG.uniform(*CONFIG.air_supply_rates, N)
 
 
-def test_a_metre_earns_what_its_seconds_and_its_air_are_charged():
-    ratio, feed, air = drawn()
+def test_the_reward_of_a_metre_is_the_sum_of_its_terms():
+    ratio, feed, air = random_metres()
     squares = capped_square(CONFIG, ratio)
     charged = sum(reward_terms(CONFIG, np.ones(N), squares, 1.0 / feed, air / feed).values())
     assert metre_reward(CONFIG, metre_cost(CONFIG, squares, feed, air)) == pytest.approx(charged, rel=1e-13)
 
 
-def test_leaving_a_metre_out_never_pays():
-    """Not even at the slowest feed with all the air, the loudest vibration and the action thrown about each period."""
-    ratio, feed, air = drawn()
+def test_skipping_a_metre_never_pays():
+    """At any feed and air, with the greatest vibration and the greatest change of action."""
+    ratio, feed, air = random_metres()
     inspected = metre_reward(CONFIG, metre_cost(CONFIG, capped_square(CONFIG, ratio), feed, air))
     jerk = CONFIG.jerk_weight * 8.0 / feed / CONFIG.period  # both actions from one end to the other: 2^2 + 2^2
     assert (inspected - jerk > -uninspected_weight(CONFIG)).all()
@@ -59,26 +59,26 @@ def test_leaving_a_metre_out_never_pays():
 RANGE, OTHER = (0.02, 0.4), (0.05, 0.25)
 
 
-def test_an_action_asks_for_the_same_in_another_range_beyond_its_ends_too():
+def test_actions_convert_to_another_range_also_beyond_its_ends():
     actions = np.array([-1.0, -0.5, 0.0, 1.0])
-    asked = TaskConfig(feed_speeds=RANGE).targets(np.column_stack([actions, actions]))[:, 0]
+    targets = TaskConfig(feed_speeds=RANGE).targets(np.column_stack([actions, actions]))[:, 0]
     translated = action_in(actions, RANGE, OTHER)
-    assert value_at(0.5 * (translated + 1.0), OTHER) == pytest.approx(asked, rel=1e-14)
+    assert value_at(0.5 * (translated + 1.0), OTHER) == pytest.approx(targets, rel=1e-14)
     assert translated[0] < -1.0
     assert translated[-1] > 1.0
 
 
-def test_what_stands_still_in_one_task_stands_still_in_the_other():
+def test_standstill_converts_to_standstill():
     here, there = TaskConfig(feed_speeds=RANGE), TaskConfig(feed_speeds=OTHER)
-    standing = action_in(np.array([float(here.standstill)]), RANGE, OTHER)
-    assert standing == pytest.approx(float(there.standstill), abs=2.0**-22)  # both are float32
+    converted = action_in(np.array([float(here.standstill)]), RANGE, OTHER)
+    assert converted == pytest.approx(float(there.standstill), abs=2.0**-22)  # both are float32
 
 
 FULL = (0.4, 30.0 / 3600.0)
 MILD = probe_env.Context(friction=0.10, contact_stiffness=1.4e5, drag_factor=0.9, helix_diameter=2.5)
 
 
-def played(config, feed, air, fidelity="fast"):
+def play(config, feed, air, fidelity="fast"):
     """Infos of an episode under constant feed and air."""
     episodes, infos = Episodes(1, config, threads=1, fidelity=fidelity), []
     episodes.reset([0], {0: np.random.default_rng(0)}, {0: {"context": MILD}})
@@ -87,22 +87,22 @@ def played(config, feed, air, fidelity="fast"):
     return infos
 
 
-def test_every_part_is_one_just_beyond_its_limit():
+def test_a_cost_term_is_one_beyond_its_limit():
     config, load = TaskConfig(tension_limit=20.0), np.full(6, 47.0)
     mean = np.array([5.0, 0.5, 19.0, 21.0, -46.9, -47.1])
     greatest = np.array([20.0, 1.0, 20.1, 25.0, -40.0, -45.0])
-    hanging = np.array([False, True, False, False, True, False])
-    costs = cost_terms(config, hanging, mean, greatest, load)
+    is_slack = np.array([False, True, False, False, True, False])
+    costs = cost_terms(config, is_slack, mean, greatest, load)
     assert tuple(costs) == tuple(COSTS)
     assert costs["lost_drive"].tolist() == [0.0, 1.0, 0.0, 0.0, 1.0, 0.0]
     assert costs["tension"].tolist() == [0.0, 0.0, 1.0, 1.0, 0.0, 0.0]
     assert costs["buckling"].tolist() == [0.0, 0.0, 0.0, 0.0, 0.0, 1.0]
 
 
-def test_an_episode_adds_up_what_its_periods_cost():
-    """Fed fast with the least air it loses the drive: every period from 6 m on below 3 N counts, three end it."""
+def test_lost_drive_ends_an_episode_and_kpis_are_the_sums_of_its_periods():
+    """Fast feed with the least air loses the drive: periods below 3 N count from 6 m on, three end the episode."""
     config = TaskConfig(required_tension=3.0, lost_drive_from=6.0, tension_limit=1.0)
-    infos = played(config, *FULL)
+    infos = play(config, *FULL)
     for info in infos:
         assert info["cost"] == sum(info["cost_terms"].values())
         slack = info["tension_mean_n"] < 3.0 and info["inserted_length"] >= 6.0
@@ -110,50 +110,52 @@ def test_an_episode_adds_up_what_its_periods_cost():
         if info["tension_mean_n"] > 1.0:  # then its peak is
             assert info["cost_terms"]["tension"] == 1.0
     kpis = infos[-1]["episode_kpis"]
-    assert kpis["lost_drive"] == 1.0
+    assert (kpis["lost_drive"], kpis["lost_drive_events"], kpis["complete"]) == (1.0, 1.0, 0.0)
+    uninspected = -uninspected_weight(config) * (55.0 - kpis["inspected_m"])
+    assert infos[-1]["reward_terms"]["uninspected"] == pytest.approx(uninspected)
     assert kpis["cost_lost_drive"] == 3.0
     assert kpis["cost_tension"] == sum(info["cost_terms"]["tension"] for info in infos) > 0.0
     assert kpis["cost_buckling"] == 0.0
     assert kpis["cost"] == sum(info["cost"] for info in infos)
 
 
-def test_no_limit_changes_a_reward():
+def test_the_tension_limit_does_not_change_the_reward():
     rewards = []
     for limit in (0.0, 110.0):
-        infos = played(TaskConfig(tension_limit=limit, required_tension=3.0, lost_drive_from=6.0), *FULL)
+        infos = play(TaskConfig(tension_limit=limit, required_tension=3.0, lost_drive_from=6.0), *FULL)
         rewards.append(infos[-1]["episode_kpis"]["reward"])
     assert rewards[0] == rewards[1]
 
 
-def test_a_cable_that_is_pressed_beyond_its_load_costs_on_the_way_back():
-    """With the load of a cable between floats 0.5 N, and 8 m of it drawn back against the wind."""
+def test_compression_beyond_the_buckling_load_costs_on_withdrawal():
+    """With a buckling load of 0.5 N and 8 m of cable withdrawn against the air."""
     probe = {"flexural_rigidity": 5e-4, "guide_length": 0.5}
     scene = Scene.fitted({"tube": {"helix_length": 8.0}, "probe": probe, "contact": {"friction": 0.1}})
     load = buckling_load(scene.probe)
     assert load == pytest.approx(0.493, abs=1e-3)
     config = TaskConfig(scene=scene, passes="both", time_limit=200.0)
-    infos = played(config, 0.2, 63.0 / 3600.0)
-    pressed = [info["tension_mean_n"] < -load for info in infos if not info["diverged"]]
-    assert [info["cost_terms"]["buckling"] == 1.0 for info in infos if not info["diverged"]] == pressed
-    assert infos[-1]["episode_kpis"]["cost_buckling"] == sum(pressed) > 0
-    assert infos[-1]["episode_kpis"]["cost_lost_drive"] == 0.0  # drawn, it needs no drive
+    infos = play(config, 0.2, 63.0 / 3600.0)
+    buckled = [info["tension_mean_n"] < -load for info in infos if not info["diverged"]]
+    assert [info["cost_terms"]["buckling"] == 1.0 for info in infos if not info["diverged"]] == buckled
+    assert infos[-1]["episode_kpis"]["cost_buckling"] == sum(buckled) > 0
+    assert infos[-1]["episode_kpis"]["cost_lost_drive"] == 0.0  # withdrawal needs no drive
 
 
-def test_the_load_between_floats_is_that_of_a_bar_on_many_hinged_supports():
-    """Least eigenvalue of stiffness against pressure for six spans of eight cubic elements, which is 2e-5 above."""
+def test_the_buckling_load_is_that_of_a_bar_on_many_hinged_supports():
+    """Least eigenvalue of six spans with eight cubic elements each, which is 2e-5 above."""
     probe, spans, pieces = Scene().probe, 6, 8
     h, nodes = probe.float_pitch / pieces, spans * pieces + 1
     bending = np.array([[12, 6 * h, -12, 6 * h], [6 * h, 4 * h**2, -6 * h, 2 * h**2]])
     bending = np.vstack([bending, -bending[0], [6 * h, 2 * h**2, -6 * h, 4 * h**2]]) * probe.flexural_rigidity / h**3
-    pressing = np.array([[36, 3 * h, -36, 3 * h], [3 * h, 4 * h**2, -3 * h, -(h**2)]])
-    pressing = np.vstack([pressing, -pressing[0], [3 * h, -(h**2), -3 * h, 4 * h**2]]) / (30.0 * h)
-    stiff, pressed = np.zeros((2 * nodes, 2 * nodes)), np.zeros((2 * nodes, 2 * nodes))
+    compression = np.array([[36, 3 * h, -36, 3 * h], [3 * h, 4 * h**2, -3 * h, -(h**2)]])
+    compression = np.vstack([compression, -compression[0], [3 * h, -(h**2), -3 * h, 4 * h**2]]) / (30.0 * h)
+    stiff, geometric = np.zeros((2 * nodes, 2 * nodes)), np.zeros((2 * nodes, 2 * nodes))
     for k in range(nodes - 1):
         part = slice(2 * k, 2 * k + 4)
         stiff[part, part] += bending
-        pressed[part, part] += pressing
+        geometric[part, part] += compression
     free = [k for k in range(2 * nodes) if k % (2 * pieces)]  # no deflection at a float
-    values = np.linalg.eigvals(np.linalg.solve(stiff[np.ix_(free, free)], pressed[np.ix_(free, free)]))
+    values = np.linalg.eigvals(np.linalg.solve(stiff[np.ix_(free, free)], geometric[np.ix_(free, free)]))
     assert 1.0 / values.real.max() == pytest.approx(buckling_load(probe), rel=1e-4)
 
 

@@ -1,4 +1,4 @@
-"""Noise and delay of the sensors are the task's, and own contexts are drawn from lists and ranges."""
+"""Sensor noise, delay and drop-outs, and contexts from custom lists and ranges."""
 
 import gymnasium as gym
 import numpy as np
@@ -7,7 +7,7 @@ import pytest
 import probe_env
 from probe_env import Context, Plant, TaskConfig
 from probe_env.envs.contexts import Ranges, draw_context
-from probe_env.envs.episodes.starts import checked_contexts, drawn_context
+from probe_env.envs.episodes.starts import checked_contexts, sample_context
 from probe_env.envs.task.observations import observe
 from probe_env.envs.task.scales import LOAD_CELL, OBSERVATIONS
 
@@ -17,18 +17,18 @@ ACTIONS = np.random.default_rng(0).uniform(-1.0, 1.0, (8, 2)).astype(np.float32)
 
 def observations(**config):
     env = gym.make("probe_env/Insertion-v1", config=SHORT | config, scene=probe_env.Scene(carrier_length=2.0))
-    seen = [env.reset(seed=3)[0]]
-    return np.array(seen + [env.step(action)[0] for action in ACTIONS])
+    rows = [env.reset(seed=3)[0]]
+    return np.array(rows + [env.step(action)[0] for action in ACTIONS])
 
 
-def test_a_delay_shows_what_was_seen_so_many_periods_before():
+def test_a_delayed_observation_is_that_of_earlier_periods():
     now, late = observations(), observations(delay_periods=3)
     assert (late[:4] == now[0]).all()  # the episode begins with its first observation
     assert (late[3:] == now[:-3]).all()
 
 
-def test_noise_is_as_strong_as_the_task_says():
-    """Of 4,000 draws the deviation is within 6 standard errors, 0.011 of it each (a chance of 2e-9)."""
+def test_noise_has_the_standard_deviation_of_the_task():
+    """4,000 draws: the deviation is within 6 standard errors of 1.1 % each (probability 2e-9)."""
     count = 4000
     names = ("radial_acceleration_rms_m_per_s2", "axial_acceleration_rms_m_per_s2", "radial_rms_m", "tension_mean_n")
     others = set(OBSERVATIONS) - {"radial_acceleration", "axial_acceleration", "rf_noise", "root_tension"}
@@ -36,43 +36,43 @@ def test_noise_is_as_strong_as_the_task_says():
     noise = np.random.default_rng(1).normal(size=(count, 2))
     columns = list(TaskConfig().observations)
     for rf, tension in ((0.05, 0.02), (0.2, 0.1), (0.0, 0.0)):
-        seen = observe(TaskConfig(rf_noise=rf, tension_noise=tension), measured, noise).astype(float)
-        spread = seen.std(axis=0)
+        rows = observe(TaskConfig(rf_noise=rf, tension_noise=tension), measured, noise).astype(float)
+        spread = rows.std(axis=0)
         assert spread[columns.index("rf_noise")] == pytest.approx(rf / np.log(10.0), rel=6 * 0.0112, abs=1e-6)
         assert spread[columns.index("root_tension")] == pytest.approx(0.1 * tension, rel=6 * 0.0112, abs=1e-6)
-    for tension, observed in ((2e4, LOAD_CELL / 20.0), (-2e4, -LOAD_CELL / 20.0)):  # overloaded it shows its end
-        felt = observe(TaskConfig(), measured | {"tension_mean_n": np.full(count, tension)}, noise)
-        assert (felt[:, columns.index("root_tension")] == observed).all()
+    for tension, observed in ((2e4, LOAD_CELL / 20.0), (-2e4, -LOAD_CELL / 20.0)):  # it saturates
+        clipped = observe(TaskConfig(), measured | {"tension_mean_n": np.full(count, tension)}, noise)
+        assert (clipped[:, columns.index("root_tension")] == observed).all()
 
 
-def test_contexts_are_drawn_from_a_list_of_ones_own():
+def test_contexts_are_sampled_from_a_custom_list():
     listed = [Context(friction=0.2), {"friction": 0.3, "helix_diameter": 1.9}]
     env = gym.make("probe_env/Insertion-v1", config=SHORT, contexts=listed)
-    drawn = {env.reset(seed=seed)[1]["context"]["friction"] for seed in range(12)}
-    assert drawn == {0.2, 0.3}  # a chance of 2^-11 to miss one, with these seeds it does not
+    samples = {env.reset(seed=seed)[1]["context"]["friction"] for seed in range(12)}
+    assert samples == {0.2, 0.3}  # a chance of 2^-11 to miss one, with these seeds it does not
     assert checked_contexts(listed)[1].helix_diameter == 1.9
 
 
-def test_and_from_ranges_that_leave_the_rest_as_it_was():
+def test_contexts_are_sampled_from_ranges():
     rng, same = np.random.default_rng(5), np.random.default_rng(5)
     ranges = {"friction": (0.3, 0.35), "helix_diameter": 1.9, "drag_factor": [0.8, 1.0, 1.2]}
     plain = draw_context(same)
-    drawn = drawn_context(ranges, rng, {})
-    assert 0.3 <= drawn.friction <= 0.35
-    assert drawn.helix_diameter == 1.9
-    assert drawn.drag_factor in (0.8, 1.0, 1.2)
-    assert drawn.contact_stiffness == plain.contact_stiffness
-    assert (drawn.friction - 0.3) / 0.05 == pytest.approx((plain.friction - 0.1) / 0.15)
+    samples = sample_context(ranges, rng, {})
+    assert 0.3 <= samples.friction <= 0.35
+    assert samples.helix_diameter == 1.9
+    assert samples.drag_factor in (0.8, 1.0, 1.2)
+    assert samples.contact_stiffness == plain.contact_stiffness
+    assert (samples.friction - 0.3) / 0.05 == pytest.approx((plain.friction - 0.1) / 0.15)
 
 
-def test_the_step_must_hold_for_the_hardest_that_may_be_drawn():
+def test_the_sampler_knows_the_stiffest_contact_of_its_contexts():
     assert Ranges(contact_stiffness=(1e5, 3e6)).stiffest == 3e6
     for contexts in ({"contact_stiffness": (1e5, 1.8e5)}, [{"contact_stiffness": 1.8e5}, {"friction": 0.2}]):
         env = gym.make("probe_env/Insertion-v1", contexts=contexts).unwrapped
         assert env.episodes.sampler.stiffest.contact.stiffness == 1.8e5
 
 
-def test_what_is_wrong_with_contexts_is_named():
+def test_wrong_contexts_are_named():
     for contexts, message in (
         ("mine", "contexts = 'mine' is not one of random, train, validation, test"),
         ([], "contexts = \\[\\] is empty"),
@@ -86,23 +86,23 @@ def test_what_is_wrong_with_contexts_is_named():
             gym.make("probe_env/Insertion-v1", contexts=contexts)
 
 
-def test_what_drops_out_keeps_its_value_and_the_rest_goes_on():
+def test_drop_outs_keep_the_last_value_of_their_sensors():
     names = list(TaskConfig().observations)
-    dull = [names.index(name) for name in ("rf_noise", "root_tension")]
-    usual, none, all_held = observations(), observations(sensor_dropout=0.0), observations(sensor_dropout=1.0)
-    assert (usual == none).all()  # nothing is drawn for it
-    assert (all_held[:, dull] == all_held[0, dull]).all()
-    bright = [k for k in range(len(names)) if k not in dull]
-    assert (all_held[:, bright] == usual[:, bright]).all()
-    # eight periods of a half: none or all held has a chance of 2^-7, and with this seed it is neither
+    dropping = [names.index(name) for name in ("rf_noise", "root_tension")]
+    usual, none, all_repeated = observations(), observations(sensor_dropout=0.0), observations(sensor_dropout=1.0)
+    assert (usual == none).all()  # no random number is used
+    assert (all_repeated[:, dropping] == all_repeated[0, dropping]).all()
+    remaining = [k for k in range(len(names)) if k not in dropping]
+    assert (all_repeated[:, remaining] == usual[:, remaining]).all()
+    # eight periods with probability 0.5: none or all has a probability of 2^-7, and not with this seed
     some = observations(sensor_dropout=0.5)
-    held = (some[1:, dull] == some[:-1, dull]).all(axis=1)
-    assert 0 < held.sum() < len(held)
+    repeated = (some[1:, dropping] == some[:-1, dropping]).all(axis=1)
+    assert 0 < repeated.sum() < len(repeated)
 
 
 @pytest.mark.parametrize("fidelity", ["fast", {"method": "imex32"}])
 def test_friction_drifts_along_the_tube(fidelity):
-    """The probe slides with the mean over what is in: less near the entrance, the tube's at the end."""
+    """Friction is the mean over the inserted length: less near the entrance, the context's at the end."""
     env = gym.make("probe_env/Insertion-v1", fidelity=fidelity, config={"friction_drift": 0.3}).unwrapped
     env.reset(seed=1, options={"friction": 0.2})
     before = env.episodes.batch.simulators[0].inserted_length
@@ -116,7 +116,7 @@ def test_friction_drifts_along_the_tube(fidelity):
     assert tensions[0] > tensions[1] > tensions[2]
 
 
-def test_an_oval_tube_has_less_room_in_the_plane_of_the_helix():
+def test_an_oval_tube_has_less_clearance_in_the_plane_of_the_helix():
     oval = probe_env.Scene.fitted({"tube": {"ovality": 0.1}})
     gaps = [probe_env.Simulator(scene).chain.outer_gap[0] for scene in (probe_env.Scene(), oval)]
     assert gaps[0] - gaps[1] == pytest.approx(0.05 * 24.2e-3)
@@ -133,7 +133,9 @@ def test_settings_are_accepted_in_groups_and_by_themselves():
     assert TaskConfig.model_validate_json(expected.model_dump_json()) == expected
     assert Plant(task=grouped).configured().model_dump() == Plant(task=flat).configured().model_dump()
     env = gym.make("probe_env/Inspection-v0", config=grouped | {"round_trip": {"passes": "in"}}, fidelity="fast")
-    assert env.unwrapped.config == expected.model_copy(update={"time_limit": 1800.0})  # its own defaults stand
+    assert env.unwrapped.config == expected.model_copy(
+        update={"time_limit": 1800.0}
+    )  # the environment keeps its defaults
     assert all(info.description for info in TaskConfig.model_fields.values())
     for wrong, message in (
         ({"reward": {"tension_limit": 5.0}}, "reward = .* must be a table of vibration_measure, "),

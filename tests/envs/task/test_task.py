@@ -1,4 +1,4 @@
-"""What is rewarded and how episodes end, and that no short cut pays."""
+"""Rewards and endings of episodes, and that no short cut pays."""
 
 import gymnasium as gym
 import numpy as np
@@ -20,7 +20,7 @@ MILD = probe_env.Context(friction=0.10, contact_stiffness=1.4e5, drag_factor=0.9
 
 
 def run_batch(policies, contexts, fidelity="fast", config=None):
-    """Whole episodes side by side, one for each (feed, air) and context; total reward, KPIs and all observations."""
+    """Whole episodes in one batch, one per (feed, air) and context; KPIs, sums of reward terms and observations."""
     config = config or TaskConfig()
     pairs = [(policy, context) for policy in policies for context in contexts]
     episodes = Episodes(len(pairs), config, fidelity=fidelity)
@@ -44,12 +44,14 @@ def run_batch(policies, contexts, fidelity="fast", config=None):
 
 @pytest.fixture(scope="module")
 def insertions():
-    """The study's constant feed, and racing, in the worst and a mild context."""
+    """The study's constant feed and the fastest feed, in the worst and a mild context."""
     return run_batch([CONSTANT, (0.4, 130.0 / 3600.0)], [WORST, MILD])
 
 
 def test_a_full_insertion_ends_at_the_helix_s_end(insertions):
-    """Of twelve other starts the hard tube is 1690 times as loud (+- 3.5 %), 0.156 +- 0.007 of it within the limit."""
+    """With twelve other seeds the radial rms in the hard tube is 1690 times that in the mild one (+- 3.5 %), and
+    0.156 +- 0.007 of its length is within the limit.
+    """
     kpis, terms, _ = insertions
     for k in (0, 1):
         assert kpis[k]["complete"] == 1.0
@@ -62,20 +64,11 @@ def test_a_full_insertion_ends_at_the_helix_s_end(insertions):
     assert kpis[0]["share_within_limit"] < 0.7 < kpis[1]["share_within_limit"]
 
 
-@pytest.mark.slow
-def test_crawling_to_the_time_limit_does_not_pay(insertions):
-    kpis, terms, _ = run_batch([(0.02, 63.0 / 3600.0)], [WORST, MILD])
-    for k in range(2):
-        assert kpis[k]["inspection_time_s"] == 900.0
-        assert kpis[k]["complete"] == 0.0
-        assert terms[k].sum() < insertions[1][k].sum() - 100.0
-
-
 @pytest.mark.processor
 def test_contexts_leave_something_to_decide(insertions):
-    """Racing beats the study's feed in a mild context and loses in a hard one.
+    """The fastest feed beats the study's feed in a mild context and loses in a hard one.
 
-    Of twelve other starts of each by 14.418 to six digits, and by 437 +- 9: far beyond both margins.
+    With twelve other seeds by 14.418 (to six digits) and 437 +- 9, far beyond both margins.
     """
     study_hard, study_mild, race_hard, race_mild = insertions[1].sum(axis=1)
     assert race_mild > study_mild + 5.0
@@ -83,7 +76,7 @@ def test_contexts_leave_something_to_decide(insertions):
 
 
 def test_no_context_makes_crawling_pay():
-    """The best that crawling can come to, silent all the way, is less than the study's feed ringing all the way."""
+    """The best crawl, without vibration, earns less than the study's feed with the greatest vibration."""
     config, length = TaskConfig(), 55.0
     crawled = config.feed_speeds[0] * config.time_limit
     best_crawl = config.progress_weight * crawled - config.time_weight * config.time_limit
@@ -102,34 +95,23 @@ def test_observations_stay_within_their_bounds(insertions):
     assert (observations < high - 0.1 * (high - low)).all()
 
 
-def test_observations_say_what_was_measured_in_si_units():
-    """Without noise `in_si_units` gives back what went in, in single precision and above the sensors' floors."""
+def test_in_si_units_inverts_observe():
+    """Without noise, in single precision and above the noise floors."""
     config, rng = TaskConfig(privileged=True, observe_probe=True), np.random.default_rng(0)
-    felt = {
+    statistic = {
         "radial_acceleration": "radial_acceleration_rms_m_per_s2",
         "axial_acceleration": "axial_acceleration_rms_m_per_s2",
         "rf_noise": "radial_rms_m",
         "root_tension": "tension_mean_n",
     }
     ranges = {name: RANGES.get(name, (0.5, 1.0))[:2] for name in config.observations}
-    measured = {felt.get(name, name): rng.uniform(*ranges[name], 4) for name in config.observations}
+    measured = {statistic.get(name, name): rng.uniform(*ranges[name], 4) for name in config.observations}
     physical = in_si_units(config, observe(config, measured, np.zeros((4, 2))))
     assert list(physical) == list(config.observations)
     for name, values in physical.items():
-        assert values == pytest.approx(measured[felt.get(name, name)], rel=3e-4), name
+        assert values == pytest.approx(measured[statistic.get(name, name)], rel=3e-4), name
     with pytest.raises(ValueError, match=r"observation of shape \(4, 3\) is not \(N, 21\)"):
         in_si_units(config, np.zeros((4, 3)))
-
-
-def test_lost_drive_ends_an_episode():
-    """Hardly any air at full feed: the root tension falls below what the rising part needs."""
-    config = TaskConfig(required_tension=3.0, lost_drive_from=6.0)
-    (kpi,), terms, _ = run_batch([(0.4, 30.0 / 3600.0)], [MILD], config=config)
-    assert kpi["lost_drive"] == 1.0
-    assert kpi["lost_drive_events"] == 1.0
-    assert kpi["complete"] == 0.0
-    left = 55.0 - kpi["inspected_m"]
-    assert terms[0][TERMS.index("uninspected")] == pytest.approx(-uninspected_weight(config) * left)
 
 
 def diverge(monkeypatch):
@@ -157,8 +139,8 @@ def test_a_diverged_simulation_ends_with_the_last_finite_observation(monkeypatch
     assert info["reward_terms"]["diverged"] == -10.0
 
 
-def test_what_diverges_while_settling_ends_in_its_first_step(monkeypatch):
-    """Not with an error: a vector environment would stop the training of all."""
+def test_divergence_while_settling_ends_the_episode_in_its_first_step(monkeypatch):
+    """Without an error, which would stop the training of all environments of a batch."""
     episodes = Episodes(2, TaskConfig())
     diverge(monkeypatch)
     rngs = {k: np.random.default_rng(k) for k in range(2)}
@@ -190,13 +172,13 @@ def test_time_lapse_has_two_clocks():
 
 
 def test_the_vibration_measure_can_be_chosen():
-    shown = {}
+    vibration = {}
     for measure in ("displacement", "velocity", "acceleration"):
         config = TaskConfig(growing=False, period=0.1, time_limit=2.0, settle_time=0.1, vibration_measure=measure)
         _, terms, _ = run_batch([CONSTANT], [WORST], "standard", config)
-        shown[measure] = terms[0][TERMS.index("vibration")]
-    assert len(set(shown.values())) == 3
-    assert all(value < 0.0 for value in shown.values())
+        vibration[measure] = terms[0][TERMS.index("vibration")]
+    assert len(set(vibration.values())) == 3
+    assert all(value < 0.0 for value in vibration.values())
 
 
 def test_percentiles_of_the_histogram():

@@ -1,4 +1,4 @@
-"""Trials of designs: where they are compared, in helices of 40 and 80 m and in other bores, and by what."""
+"""Trials of designs: compared segment in helices of 40 and 80 m and in other bores, and vibration measures."""
 
 from dataclasses import replace
 
@@ -21,9 +21,9 @@ from probe_env.envs.trials import (
     Candidate,
     check_candidate,
     check_measure,
-    judge,
+    score_designs,
     sections_of,
-    stretch_of,
+    segment_of,
     try_insertions,
     try_sections,
 )
@@ -47,19 +47,19 @@ def task(helix_length, **fields):
         (24.0, (14.0 / 3.0, 28.0 / 3.0, 14.0)),
     ],
 )
-def test_sections_are_spread_over_what_the_longest_guide_leaves(helix_length, positions):
-    """Every place of the stretch is counted once, with the section that is nearest to it."""
-    stretch = stretch_of(task(helix_length))
-    assert stretch.positions == pytest.approx(positions)
-    assert stretch.end == helix_length - LONGEST
-    assert sum(stretch.widths) == pytest.approx(stretch.span) == helix_length - LONGEST - SENSOR_START
-    ends = SENSOR_START + np.cumsum(stretch.widths)
-    for end, near, far in zip(ends, stretch.positions, stretch.positions[1:], strict=False):
+def test_sections_cover_the_segment(helix_length, positions):
+    """Every metre of the segment belongs to its nearest section."""
+    segment = segment_of(task(helix_length))
+    assert segment.positions == pytest.approx(positions)
+    assert segment.end == helix_length - LONGEST
+    assert sum(segment.widths) == pytest.approx(segment.span) == helix_length - LONGEST - SENSOR_START
+    ends = SENSOR_START + np.cumsum(segment.widths)
+    for end, near, far in zip(ends, segment.positions, segment.positions[1:], strict=False):
         assert end - near == pytest.approx(far - end)
 
 
-def test_the_last_section_is_the_simulator_s_own_run():
-    """Of the second of two probes, in its own bore, with the plant's damping, at the nearest feed of its device."""
+def test_the_last_section_equals_a_simulator_run():
+    """Of the second of two probes, with bore, damping and feed range of a plant."""
     helix_length = 40.0
     plant = Plant(
         tube={"helix_length": helix_length, "inner_diameter": 22.1e-3}, probe={"damping_time": 8e-5},
@@ -75,12 +75,12 @@ def test_the_last_section_is_the_simulator_s_own_run():
     window = alone.advance(None, None, MEASURE)
     assert trial.radial_rms[1, -1] == window.statistics["radial_rms_m"][0]
     assert trial.root_tension[1, -1] == window.statistics["tension_mean_n"][0]
-    _, kpis = judge([Design(), IMPROVED], trial, config)
+    _, kpis = score_designs([Design(), IMPROVED], trial, config)
     assert kpis["inspected_m"][1] + kpis["missed_m"][1] == pytest.approx(helix_length - 10.0 - SENSOR_START)
 
 
 @pytest.mark.parametrize(("helix_length", "full"), [(40.0, True), (80.0, False)])
-def test_the_environment_tries_probes_in_the_whole_helix_of_a_tube(helix_length, full):
+def test_the_environment_simulates_the_whole_helix_of_a_tube(helix_length, full):
     tube = {"tube": {"helix_length": helix_length, "helix_diameter": [1.0, 2.0]}, "contact": {"friction": 0.12}}
     tube["feed"] = {"feed_speeds": [0.05, 0.1]}
     fidelity = {"time_lapse": 20.0} if full else "standard"
@@ -90,12 +90,12 @@ def test_the_environment_tries_probes_in_the_whole_helix_of_a_tube(helix_length,
     assert info["context"]["helix_diameter"] in (1.0, 2.0)
     _, _, _, _, info = env.step(DesignEnv.action_of(Design()))
     assert info["kpis"]["inspected_m"] + info["kpis"]["missed_m"] == pytest.approx(helix_length - 5.0, abs=0.01)
-    covered = stretch_of(env.unwrapped.config).span - info["kpis"]["missed_m"]
+    covered = segment_of(env.unwrapped.config).span - info["kpis"]["missed_m"]
     assert covered > 0.0
     assert info["kpis"]["inspection_time_s"] == pytest.approx(covered / 0.1, rel=0.01)  # the nearest to 0.2 m/s
 
 
-def test_floats_are_built_as_large_as_fits_the_bore():
+def test_floats_are_cut_to_the_bore():
     narrow = Plant(tube={"inner_diameter": 0.0185}, probe={n: 0.016 for n in RANGES if n.endswith("float_diameter")})
     env = gym.make("probe_env/Design-v1", tube=narrow)
     env.reset(seed=0)
@@ -103,10 +103,10 @@ def test_floats_are_built_as_large_as_fits_the_bore():
     assert info["design"]["guide_float_diameter"] == pytest.approx(0.0185 - CLEARANCE)
     assert info["design"]["carrier_float_diameter"] == pytest.approx(0.016)
     assert info["design"]["guide_length"] == pytest.approx(10.0)
-    drawn = gym.make(
+    sampled = gym.make(
         "probe_env/Insertion-v1", tube=narrow, probes="random", fidelity="fast", config={"settle_time": 0.1}
     )
-    floats = [drawn.reset(seed=seed)[1]["probe"]["guide_float_diameter"] for seed in range(4)]
+    floats = [sampled.reset(seed=seed)[1]["probe"]["guide_float_diameter"] for seed in range(4)]
     assert max(floats) == pytest.approx(0.0175)
     assert IMPROVED.cut_to(Plant().scene) is IMPROVED
     assert ranges_in(Plant().scene) == RANGES
@@ -119,14 +119,14 @@ def test_floats_are_built_as_large_as_fits_the_bore():
         ({"inner_diameter": 0.0165}, "inner_diameter = 0.0165 m: no guide_float_diameter of the design space"),
     ],
 )
-def test_a_tube_in_which_no_probe_can_be_compared_is_refused(tube, message):
+def test_tubes_without_a_comparable_probe_are_refused(tube, message):
     probe = {name: 0.015 for name in RANGES if name.endswith("float_diameter")}
     with pytest.raises(ValueError, match=message):
         DesignEnv(tube={"tube": tube, "probe": probe}).reset()
 
 
 class Alternating:
-    """Feeds 0.2 m/s with the least and the most air in turn."""
+    """Feeds 0.2 m/s with the least and the most air alternately."""
 
     def __init__(self, config):
         self.targets = [config.action(0.2, rate) for rate in config.air_supply_rates]
@@ -138,9 +138,9 @@ class Alternating:
 
 
 def test_air_of_a_period_is_the_mean_of_both_ends():
-    """It nears the mean of what is asked for, as the supply lags.
+    """It approaches the mean of the targets, as the supply lags.
 
-    There are five periods a metre: by the air at their ends every other metre would have three of one kind.
+    With five periods per metre, the air at their ends would differ between odd and even metres.
     """
     config = task(40.0, feed={"feed_speeds": [0.05, 0.3]})
     trial = try_insertions([Candidate(Design(), Context(), Alternating(config))], config, Fidelity(time_lapse=20.0))
@@ -149,10 +149,10 @@ def test_air_of_a_period_is_the_mean_of_both_ends():
 
 
 @pytest.mark.parametrize("design", [Design(), IMPROVED])
-def test_sections_hold_with_the_most_air(design):
-    """At 2e-4 s, with 130 m3/h: of 256 probes that start with all of it 24 diverged, of those that start gently none.
+def test_sections_are_stable_with_the_most_air(design):
+    """At 2e-4 s and 130 m3/h, 24 of 256 probes diverged from a start with the full supply, none from the gentle start.
 
-    By hand, 20 to 55 m in tubes like these. Where all of the air at rest is refused, the gentle start is not.
+    Measured once at 20 to 55 m in similar tubes. The full supply at rest is refused, the gentle start is not.
     """
     config = Plant().configured()
     feed = Schedule("inserted_length", "linear", (5.0,), (0.1,), (config.air_supply_rates[1],))
@@ -172,42 +172,44 @@ SNR = TaskConfig(vibration_measure="snr", vibration_weight=4.0)
 
 
 @pytest.fixture(scope="module")
-def tried():
-    """One design in a rough and a smooth tube, in both measures."""
+def trials():
+    """One design in a rough and a smooth tube, with both vibration measures."""
     candidates = [Candidate(Design(), Context(friction=mu, helix_diameter=1.2), STUDY_FEED) for mu in (0.1, 0.25)]
     return try_sections(candidates, SNR), try_sections(candidates, TaskConfig())
 
 
 @pytest.mark.processor
-def test_the_quiet_first_metres_have_the_anchor_s_signal_to_noise(tried):
-    """7.5 for a 20 % groove at 0.2 m/s in a smooth tube; motion only adds: S/N is below 3 where it rings."""
-    noisy, _ = tried
+def test_the_first_metres_have_the_sensor_s_signal_to_noise_at_rest(trials):
+    """7.5 for a 20 % groove at 0.2 m/s in a smooth tube; below 3 where the probe vibrates."""
+    noisy, _ = trials
     quiet, loud = 1.0 / SNR.sensor.quiet_snr, 1.0 / SNR.sensor.shaken_snr
     assert (noisy.noise >= quiet * (1.0 - 1e-6)).all()
-    assert noisy.noise[0, 0] == pytest.approx(quiet, rel=0.02)  # some um of rms, where 0.1 mm make it 2.5 times as much
+    assert noisy.noise[0, 0] == pytest.approx(quiet, rel=0.02)  # some um of rms; 0.1 mm gives 2.5 times as much noise
     assert noisy.noise[1].max() > loud
-    assert (noisy.radial_rms[noisy.noise > loud] > 5e-5).all()  # 0.1 mm in the band do it, and half is in the band
+    assert (
+        noisy.radial_rms[noisy.noise > loud] > 5e-5
+    ).all()  # 0.1 mm in the band gives S/N 3, and half of the rms is in the band
 
 
-def test_nothing_but_the_measure_differs(tried):
-    noisy, plain = tried
+def test_the_measure_changes_nothing_else(trials):
+    noisy, plain = trials
     assert plain.noise is None
     for name in ("widths", "feed_speed", "radial_rms", "root_tension"):
         assert (getattr(noisy, name) == getattr(plain, name)).all(), name
     assert all((noisy.failed[name] == plain.failed[name]).all() for name in FAILURES)
 
 
-def test_the_reward_counts_noise_over_signal(tried):
-    """A metre at the limit, S/N 3, costs its weight; half of the noise a quarter of it."""
-    noisy, _ = tried
+def test_the_reward_uses_noise_over_signal(trials):
+    """A metre at the limit, S/N 3, costs its weight; half of the noise costs a quarter."""
+    noisy, _ = trials
     designs, span = [Design(), Design()], noisy.widths.sum(axis=1)
     for share in (1.0, 0.5):
         same = replace(noisy, noise=np.full_like(noisy.noise, share / 3.0))
-        terms, kpis = judge(designs, same, SNR)
+        terms, kpis = score_designs(designs, same, SNR)
         assert terms["vibration"] == pytest.approx(-4.0 * share**2 * span, rel=1e-9)
         assert kpis["share_within_limit"] == pytest.approx(1.0, abs=1e-9)
 
 
 def test_other_measures_are_refused():
-    with pytest.raises(ValueError, match="vibration_measure = 'velocity': designs are judged by displacement or snr"):
+    with pytest.raises(ValueError, match="vibration_measure = 'velocity': designs are scored by displacement or snr"):
         check_measure(TaskConfig(vibration_measure="velocity"))
