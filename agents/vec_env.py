@@ -110,10 +110,6 @@ class ProbeVecEnv(VecEnv):
         """An attribute of the batch (such as ``render_mode`` or ``config``), once for each environment."""
         return [getattr(self, attr_name) for _ in self._get_indices(indices)]
 
-    def has_attr(self, attr_name: str) -> bool:
-        """Whether the batch has an attribute."""
-        return hasattr(self, attr_name)
-
     def set_attr(self, attr_name: str, value: Any, indices: int | Iterable[int] | None = None) -> None:
         """Set an attribute of the batch; it is shared, so ValueError for some environments only."""
         if len(list(self._get_indices(indices))) != self.num_envs:

@@ -35,7 +35,7 @@ def docstring(name: str) -> str:
 
 
 def fields(name: str) -> str:
-    """The fields of a model: default, unit and accepted range."""
+    """The fields of a model: default, unit, accepted range and meaning."""
     model = _found(name)
     rows = []
     for field, info in model.model_fields.items():
@@ -43,8 +43,9 @@ def fields(name: str) -> str:
         shown = f"`{type(default).__name__}()`" if isinstance(default, Model) else f"`{_short(default)}`"
         known = range_of(model, field)
         accepted = f"{known.low:g} to {known.high:g}" if known else _kind(info.annotation)
-        rows.append((f"`{field}`", shown, (known and known.unit) or "-", accepted))
-    return _table(("field", "default", "unit", "accepted"), rows)
+        meaning = " ".join((info.description or "").split())
+        rows.append((f"`{field}`", shown, (known and known.unit) or "-", accepted, meaning))
+    return _table(("field", "default", "unit", "accepted", "meaning"), rows)
 
 
 def methods() -> str:

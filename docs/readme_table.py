@@ -11,11 +11,13 @@ POLICIES = {
     "constant": "0.2 m/s and 63 m³/h, as in the study",
     "pi": "PI control of the measured vibration",
     "best-schedule": "best schedule over length for all training tubes",
-    "trimmed-law": "PLC law of twelve constants: length, root tension and noise in, feed and air out",
+    "plc-integral": "PLC law of twelve constants: length, root tension and noise in, feed and air out",
     "ppo": "PPO, five training seeds",
-    "student": "networks that imitate `trimmed-law`, five training seeds",
+    "student": "networks that imitate `plc-integral`, five training seeds",
     "planner": "model-predictive control on a copy of the simulator: an upper bound for feedback",
 }
+OLD_NAMES = {"plc-law": "plc-proportional", "trimmed-law": "plc-integral"}
+"""Names of policies in results that were stored before version 0.1.0."""
 COLUMNS = {
     "reward": ("reward", 1.0, ".1f"),
     "time [s]": ("inspection_time_s", 1.0, ".0f"),
@@ -29,7 +31,7 @@ COLUMNS = {
 def table() -> str:
     """The table in Markdown; a method with several training seeds NAME@K has their mean."""
     summary = pd.read_csv(SUMMARY)
-    summary = summary.assign(policy=summary["policy"].str.replace(r"@\d+$", "", regex=True))
+    summary = summary.assign(policy=summary["policy"].str.replace(r"@\d+$", "", regex=True).replace(OLD_NAMES))
     means = summary.groupby(["policy", "kpi"])["mean"].mean()
     lines = [f"| policy | description | {' | '.join(COLUMNS)} |", "|---|---|" + "---:|" * len(COLUMNS)]
     for name, description in POLICIES.items():

@@ -63,6 +63,6 @@ for _name in ("Insertion-v1", "Snapshot-v1", "Inspection-v0"):
     gymnasium.register(
         id=f"probe_env/{_name}",
         entry_point=f"probe_env.envs.env:{_class}Env",
-        vector_entry_point=f"probe_env.envs.vector:{_class}VectorEnv",
+        vector_entry_point=f"probe_env.envs.env:{_class}VectorEnv",
     )
 gymnasium.register(id="probe_env/Design-v1", entry_point="probe_env.envs.design_env:DesignEnv")

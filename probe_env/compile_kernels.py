@@ -20,9 +20,9 @@ def compile_kernels() -> None:
     for number, method in enumerate(METHODS.values(), start=1):
         print(f"kernels of {method.name} ({number} of {len(METHODS)})", file=sys.stderr)
         short = Scene(carrier_length=1.0)
-        Simulator(short, method.name, method.usual_step).run(1e-3)
+        Simulator(short, method, method.usual_step).run(1e-3)
         if method.alone_share < 1.0:  # then one probe has a kernel of its own
-            SimulatorBatch([short] * method.width, method.name, method.usual_step).advance(duration=1e-3)
+            SimulatorBatch([short] * method.width, method, method.usual_step).advance(duration=1e-3)
     pressed = Scene.model_validate({"carrier_length": 1.0} | WAY_BACK)
     Simulator(pressed, BOTH_WAYS["standard"].method, 1e-4).run(1e-3)
 

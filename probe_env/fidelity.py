@@ -27,7 +27,8 @@ from pydantic import AfterValidator, Field, SerializerFunctionWrapHandler, model
 from pydantic_core import PydanticCustomError
 
 from probe_env.arrays import FloatArray
-from probe_env.physics.methods import METHODS, ON_NODES
+from probe_env.physics.methods import METHODS, ON_NODES, check_step, names_of
+from probe_env.physics.methods.method import Method
 from probe_env.scene import Scene
 from probe_env.settings import Model, in_one_line, quantity
 
@@ -77,7 +78,7 @@ class Fidelity(Model):
             raise PydanticCustomError("time_lapse", "steady_feed needs a time_lapse above 1 (here it is 1)")
         if self.simulates:
             try:
-                METHODS[self.method].check_step(self.time_step)
+                check_step(METHODS[self.method], self.time_step)
             except ValueError as error:
                 raise PydanticCustomError("rounding", "{text}", {"text": str(error)}) from error
             return self
@@ -95,6 +96,11 @@ class Fidelity(Model):
     def simulates(self) -> bool:
         """Whether motion is simulated, rather than predicted from a vibration map."""
         return self.method != SURROGATE
+
+    @property
+    def numerics(self) -> tuple[Method, float, int]:
+        """Method, time step [s] and nodes a pitch, as ``Simulator`` takes them."""
+        return METHODS[self.method], self.time_step, self.nodes_per_pitch
 
     def time_lapse_of(self, feed_speed: npt.ArrayLike, target: npt.ArrayLike) -> FloatArray:
         """(N,) how many times faster than the motion's clock the length changes in a period on the way in.
@@ -152,7 +158,8 @@ def resolve_fidelity(
 
     Args:
         fidelity: name, settings, or a mapping of them.
-        scene: that "auto" chooses for, see also ``with_nodes``; default: table 2's.
+        scene: that "auto" chooses for; where its cable meets the walls between floats, or its couple counts from the
+            tangent, superelements give way to a mesh of nodes. Default: table 2's.
         growing: whether the probe is fed in, for "auto".
         both_ways: whether it is drawn back, too.
 
@@ -163,10 +170,10 @@ def resolve_fidelity(
     if both_ways:
         return _both_ways(fidelity)
     scene = scene or Scene()
-    return with_nodes(_named(fidelity, scene, growing), scene)
+    return _with_nodes(_named(fidelity, scene, growing), scene)
 
 
-def with_nodes(fidelity: Fidelity, scene: Scene) -> Fidelity:
+def _with_nodes(fidelity: Fidelity, scene: Scene) -> Fidelity:
     """The settings, with nodes between the floats if the scene needs some and they have none; logged once.
 
     Between floats, a superelement's cable bends and stretches, no more: where it meets the walls itself, or its couple
@@ -223,10 +230,10 @@ def _both_ways(fidelity: str | Fidelity | Mapping[str, Any]) -> Fidelity:
     if isinstance(fidelity, str) and AUTO.fullmatch(fidelity):
         raise ValueError(f"fidelity = {fidelity!r}: nothing was measured on the way back; give one of {known}")
     chosen = _named(fidelity, Scene(), growing=True)
-    if not draws_back(chosen):
+    if not (chosen.simulates and METHODS[chosen.method].draws_back):
         raise ValueError(
             f"fidelity = {fidelity!r}: {chosen.method} does not simulate the way back; give one of {known}, or settings"
-            f" with one of {', '.join(name for name, method in METHODS.items() if method.draws_back)}"
+            f" with one of {names_of(lambda method: method.draws_back)}"
         )
     return chosen
 
@@ -236,11 +243,6 @@ def is_surrogate(fidelity: str | Fidelity | Mapping[str, Any]) -> bool:
     if isinstance(fidelity, str):
         return ALIASES.get(fidelity, fidelity) == SURROGATE
     return (fidelity.method if isinstance(fidelity, Fidelity) else fidelity.get("method")) == SURROGATE
-
-
-def draws_back(fidelity: Fidelity) -> bool:
-    """Whether the settings can simulate the way back."""
-    return fidelity.simulates and METHODS[fidelity.method].draws_back
 
 
 class Measured(NamedTuple):

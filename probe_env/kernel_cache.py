@@ -14,7 +14,6 @@ import shutil
 import stat
 import tempfile
 import warnings
-from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import Final
@@ -67,24 +66,19 @@ def forget_outdated(kept_in: Path) -> None:
             return sources / "__pycache__"
         return kept_in.parent / f"{sources.name}_{hashlib.sha1(str(sources).encode()).hexdigest()}"  # as numba has it
 
+    files = [path for pattern in ("*.py", "model/*.py", "methods/**/*.py") for path in SOURCES.glob(pattern)]
     hashed = hashlib.sha256()
-    for path in sorted(_sources()):
+    for path in sorted(files):
         hashed.update(f"{path.relative_to(SOURCES).as_posix()}\n".encode() + path.read_bytes())
     stamp, now = folder_of(SOURCES) / STAMP, hashed.hexdigest()
     with suppress(OSError):  # somebody else's, or another process does the same
         if stamp.exists() and stamp.read_text() == now:
             return
-        for sources in {path.parent for path in _sources()}:
+        for sources in {path.parent for path in files}:
             for path in folder_of(sources).glob("*.nb[ic]"):
                 path.unlink(missing_ok=True)
         stamp.parent.mkdir(exist_ok=True)
         stamp.write_text(now)
-
-
-def _sources() -> Iterator[Path]:
-    """Files that kernels are compiled of."""
-    yield from SOURCES.glob("*.py")
-    yield from (SOURCES / "methods").rglob("*.py")
 
 
 def _numbas_folder() -> Path | None:

@@ -25,14 +25,14 @@ class Tube(Model):
     """Helical tube, modelled as a circle in a plane."""
 
     helix_diameter: Annotated[float, quantity(0.3, 1e4, "m")] = 1.2
-    """Of the tube's axis [m]."""
+    """Diameter of the helix, of the tube's axis [m]."""
     inner_diameter: Annotated[float, quantity(5e-3, 0.1, "m")] = 24.2e-3
-    """Of the tube [m]."""
+    """Bore of the tube [m]."""
     helix_length: Annotated[float, quantity(0.1, 1e3, "m")] = 60.0
-    """Along the tube's axis [m]."""
+    """Length of the tube along its axis [m]."""
     ovality: Annotated[float, quantity(0.0, 0.5, "")] = 0.0
-    """Greatest less least inner diameter over the nominal one [-]: a bent tube is flat in the plane of its bend. The
-    air's cross-section, which is less by ovality squared / 4, stays as it is."""
+    """Largest minus smallest inner diameter, divided by the nominal one [-]; a bent tube is flat in the plane of its
+    bend. The cross-section for the air does not change."""
 
     @property
     def clear_diameter(self) -> float:
@@ -44,23 +44,23 @@ class Probe(Model):
     """Cable with equally spaced floats: carrier behind the sensor, guide ahead of it."""
 
     cable_diameter: Annotated[float, quantity(1e-3, 0.05, "m")] = 8.35e-3
-    """Of the cable between its floats [m]."""
+    """Diameter of the cable between its floats [m]."""
     line_density: Annotated[float, quantity(0.01, 10.0, "kg/m")] = 0.111
-    """Of cable with floats [kg/m]."""
+    """Mass per length of the cable with floats [kg/m]."""
     tensile_rigidity: Annotated[float, quantity(1e2, 1e8, "N")] = 1.1e5
-    """EA of the cable [N]."""
+    """Tensile rigidity EA of the cable [N]."""
     flexural_rigidity: Annotated[float, quantity(1e-5, 1e2, "N m2")] = 4.8e-2
-    """EI of the cable [N m2]."""
+    """Flexural rigidity EI of the cable [N m2]."""
     damping_time: Annotated[float, quantity(0.0, 1e-2, "s")] = 5.0e-5
-    """Damping over stiffness of the cable [s]."""
+    """Ratio of damping to stiffness of the cable [s]."""
     float_pitch: Annotated[float, quantity(0.01, 1.0, "m")] = 0.1
-    """Between two floats [m]."""
+    """Distance between two floats [m]."""
     carrier_float_diameter: Annotated[float, quantity(2e-3, 0.1, "m")] = 19e-3
-    """Floats behind the sensor [m]."""
+    """Diameter of the floats behind the sensor [m]."""
     guide_float_diameter: Annotated[float, quantity(2e-3, 0.1, "m")] = 19e-3
-    """Floats ahead of the sensor [m]."""
+    """Diameter of the floats ahead of the sensor [m]."""
     guide_length: Annotated[float, quantity(0.0, 1e3, "m")] = 2.5
-    """Cable ahead of the sensor [m]."""
+    """Length of the cable ahead of the sensor [m]."""
 
 
 class Contact(Model):
@@ -70,22 +70,22 @@ class Contact(Model):
     """
 
     stiffness: Annotated[float, quantity(1e2, 1e8, "N/m")] = 1e5
-    """Of the wall under a float [N/m]."""
+    """Stiffness of the contact between wall and float [N/m]."""
     friction: Annotated[float, quantity(0.0, 1.0, "")] = 0.15
-    """Coulomb's coefficient [-]."""
+    """Coefficient of Coulomb friction [-]."""
     walls: Literal["both", "inner"] = "both"
     """Walls that floats touch."""
     cable: bool = False
-    """Whether the cable between floats touches the walls too, as it does where pressure buckles it."""
+    """Contact of the cable between floats with the walls, as where compression buckles it."""
 
 
 class Air(Model):
     """Air that drags the floats along."""
 
     density: Annotated[float, quantity(0.01, 100.0, "kg/m3")] = 1.023
-    """Of the air [kg/m3]."""
+    """Density of the air [kg/m3]."""
     drag_coefficient: Annotated[float, quantity(0.0, 10.0, "")] = 0.44
-    """Of a float [-]."""
+    """Drag coefficient of a float [-]."""
 
 
 class Scene(Model):
@@ -96,14 +96,14 @@ class Scene(Model):
     contact: Contact = Contact()
     air: Air = Air()
     couple: Literal["frame", "tangent"] = "frame"
-    """From where the couple V l theta of (9) counts the rotation: the moving frame, as the study has it, or the tube's
-    tangent where the node is, which is right under pressure too (docs/simulation/return.md)."""
+    """Reference of the rotation in the couple V l theta of equation (9): the moving frame, as in the study, or the
+    tangent of the tube at the node, which is also correct under compression."""
     feed_speed: Annotated[float, quantity(-2.0, 2.0, "m/s")] = 0.2
-    """At which the cable is fed in; below 0 it is drawn back [m/s]."""
+    """Feed speed of the cable; negative: withdrawal [m/s]."""
     air_supply_rate: Annotated[float, quantity(-0.2, 0.2, "m3/s")] = 63.0 / 3600.0
-    """Of air behind the probe, below 0 towards the feed device [m3/s]; 1 m3/h is 2.78e-4 m3/s."""
+    """Air supply behind the probe; negative: towards the feed device [m3/s]. 1 m3/h is 2.78e-4 m3/s."""
     carrier_length: Annotated[float, quantity(0.0, 1e3, "m")] = 50.0
-    """Cable between entrance and sensor [m]."""
+    """Length of the cable between entrance and sensor [m]."""
 
     @property
     def inserted_length(self) -> float:

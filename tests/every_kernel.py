@@ -11,7 +11,7 @@ from probe_env import Scene, Simulator, SimulatorBatch
 from probe_env.physics.methods import METHODS, SOLVERS
 
 STEPS = {name: method.usual_step for name, method in METHODS.items()}
-LANES = [name for name, method in METHODS.items() if method.lanes]
+LANES = [name for name, method in METHODS.items() if method.width > 1]
 
 
 def scene(walls, guide=0.3, carrier=0.5):

@@ -79,14 +79,6 @@ def _run(
     work(*arguments)
 
 
-def killed(function, *arguments):
-    """Run a function that ends by ``kill`` in a process of its own."""
-    process = SERVER.Process(target=function, args=arguments)
-    process.start()
-    process.join()
-    assert process.exitcode == -signal.SIGKILL
-
-
 def hook_sync(name, count, action, patch=None):
     """Call ``action`` after the ``count``-th line of a file of this name is on the disk; ``patch``: a monkeypatch."""
     original, calls = os.fsync, []

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -14,14 +14,11 @@ from typing import Any, Final, Literal, get_args, get_origin
 import tomli_w
 from pydantic import ValidationError
 
-from agents.policies.places import plant_at
 from agents.records.atomic import write_atomically
 from agents.records.shipped import file_or_shipped, ships
 from agents.terminal.refusals import refusal
 from probe_env import Plant
-from probe_env.envs.plants import Between
-from probe_env.envs.plants.plant import OF_AIR, OF_FEED
-from probe_env.envs.plants.posterior import with_posterior
+from probe_env.envs.plants import OF_AIR, OF_FEED, Between, with_posterior
 from probe_env.envs.task import SHOWN, TaskConfig
 from probe_env.files import FileError, read_toml
 from probe_env.settings import Model, Range, explain, range_of
@@ -138,20 +135,12 @@ def _kind(annotation: Any) -> tuple[Kind, tuple[str, ...]]:
         return "choice", tuple(BOOLEANS)
     if get_origin(annotation) is Literal:
         return "choice", get_args(annotation)
-    parts = list(_parts(annotation))
-    tuples = [get_args(part) for part in parts if get_origin(part) is tuple]
-    if Between in parts:
+    text = str(annotation)  # with the types in it
+    if Between.__name__ in text:
         return "figure", ()
-    if tuples:
-        return ("list" if Ellipsis in tuples[0] else "pair"), ()
+    if "tuple[" in text:
+        return ("list" if "..." in text else "pair"), ()
     return ("integer" if annotation is int else "number"), ()
-
-
-def _parts(annotation: Any) -> Iterator[Any]:
-    """A type and the types in it."""
-    yield annotation
-    for part in get_args(annotation):
-        yield from _parts(part)
 
 
 class TubeForm:
@@ -183,38 +172,31 @@ class TubeForm:
         """Whether it is the study's tubes, for which there are shipped lists."""
         return self.path is None and not self.tables
 
-    def open(self, given: Path) -> None:
+    def open(self, name: Path) -> None:
         """Read a file by its path, or a shipped one by its name."""
-        path = file_or_shipped("tubes", given)
-        plant = plant_at(path)
-        assert plant is not None
-        self.path, self.plant, self.tables = path, plant, read_toml(path)
-        self._opened = _copy(self.tables)
+        path = file_or_shipped("tubes", name)
+        self.plant, self.path = Plant.from_toml(path), path
+        self.tables = self._opened = read_toml(path)
 
     def text(self, field: Field) -> str:
         """Text of a field; empty: it is left out."""
-        table = self.tables.get(field.table, {})
-        return text_of(table.get(field.name)) if isinstance(table, Mapping) else ""
+        return text_of(self.tables.get(field.table, {}).get(field.name))
 
     @property
     def posterior(self) -> str:
         """File of the calibration; empty: none."""
-        file = self.tables.get(POSTERIOR, "")
-        return file if isinstance(file, str) else ""
+        return str(self.tables.get(POSTERIOR, ""))
 
     def change(self, field: Field, text: str) -> None:
         """Set a field; an empty text leaves it out."""
-        tables = _copy(self.tables)
-        table = dict(tables.pop(field.table, {}))
-        table.pop(field.name, None)
+        table = {name: value for name, value in self.tables.get(field.table, {}).items() if name != field.name}
         if text.strip():
             table[field.name] = value_of(field, text)
-        self._validate(tables | ({field.table: table} if table else {}))
+        self._replace(field.table, table)
 
     def change_posterior(self, text: str) -> None:
         """Set the file of the calibration; raises as ``change``."""
-        tables = {name: value for name, value in _copy(self.tables).items() if name != POSTERIOR}
-        self._validate(({POSTERIOR: text.strip()} if text.strip() else {}) | tables)
+        self._replace(POSTERIOR, text.strip())
 
     def save(self, path: Path) -> None:
         """Write the file."""
@@ -239,12 +221,15 @@ class TubeForm:
         return self.path.parent if self.path else Path()
 
     def _write(self, path: Path) -> None:
-        tables = _copy(self.tables)
+        tables = dict(self.tables)
         if self.posterior:
             tables[POSTERIOR] = os.path.relpath((self._folder / self.posterior).resolve(), path.resolve().parent)
         write_atomically(path, tomli_w.dumps(tables))
 
-    def _validate(self, tables: dict[str, Any]) -> None:
+    def _replace(self, name: str, content: Any) -> None:
+        """Replace a table or the posterior if the result is valid; one without content is left out."""
+        tables = {key: value for key, value in self.tables.items() if key != name}
+        tables |= {name: content} if content else {}
         try:
             self.plant = Plant.model_validate(with_posterior(tables, self._folder))
         except ValidationError as error:
@@ -252,7 +237,3 @@ class TubeForm:
         except FileNotFoundError as error:
             raise ValueError(refusal(error)) from error
         self.tables = tables
-
-
-def _copy(tables: Mapping[str, Any]) -> dict[str, Any]:
-    return {name: dict(value) if isinstance(value, Mapping) else value for name, value in tables.items()}

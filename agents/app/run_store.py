@@ -12,7 +12,6 @@ from agents.app.runs import RunRequest
 from agents.evaluation.folder import UNFINISHED, Unfinished, episodes_of, read_evaluation
 from agents.evaluation.report import ended
 from agents.evaluation.statistics import endings
-from agents.records.manifest import write_json
 from agents.records.models import read_json
 from agents.terminal.refusals import refusal
 
@@ -37,11 +36,11 @@ def stored_runs(folder: Path) -> list[StoredRun]:
 def stored_run(folder: Path) -> StoredRun:
     """One stored evaluation."""
     files = (folder / "episodes.parquet", folder / UNFINISHED, episodes_of(folder).path)
-    return _stored_run(folder, tuple(path.stat().st_mtime_ns if path.exists() else 0 for path in files))
+    return _read_run(folder, tuple(path.stat().st_mtime_ns if path.exists() else 0 for path in files))
 
 
 @lru_cache(maxsize=4096)
-def _stored_run(folder: Path, changed: tuple[int, ...]) -> StoredRun:
+def _read_run(folder: Path, changed: tuple[int, ...]) -> StoredRun:
     """Cached by the times of the files: a page lists all folders repeatedly."""
     complete = not (folder / UNFINISHED).exists()
     try:
@@ -54,11 +53,6 @@ def _stored_run(folder: Path, changed: tuple[int, ...]) -> StoredRun:
         return StoredRun(folder, True, "; ".join(outcomes))
     except (ValueError, OSError) as error:
         return StoredRun(folder, complete, refusal(error))
-
-
-def write_request(request: RunRequest) -> None:
-    """Store a request in its folder, to resume the run."""
-    write_json(request.output / REQUEST, request.model_dump(mode="json"))
 
 
 def read_request(folder: Path) -> RunRequest:

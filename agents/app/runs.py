@@ -20,17 +20,17 @@ import numpy.typing as npt
 
 from agents.evaluation.plan import Plan, Unit
 from agents.evaluation.run import plan_of
-from agents.policies.catalogue import name_and_spec, own_policies
+from agents.policies.cases import load_case
+from agents.policies.catalogue import name_and_spec
 from agents.policies.fixed import STUDY_AIR, STUDY_FEED
-from agents.policies.places import place_at
 from agents.records.models import Stored
 from probe_env.arrays import BoolArray, FloatArray
 from probe_env.envs.pictures.strip import Motion
 from probe_env.envs.task import TaskConfig
 from probe_env.inspection.channels import Flaw, Passage, along, channels, filtered, smoothed
 from probe_env.inspection.detection import snr_at, threshold
-from probe_env.inspection.meter import snr_of_groove
 from probe_env.inspection.sensor import Sensor
+from probe_env.inspection.snr import snr_of_groove
 
 MANUAL: Final = "by hand"
 """Policy name of the manual drive."""
@@ -105,17 +105,10 @@ class RunRequest(Stored):
 
     def plan(self) -> Plan:
         """The evaluation plan."""
-        place = place_at(self.tube, "test", self.limit)
+        place = load_case(self.tube, "test", self.limit)
         plan = plan_of(self.policies or ("constant",), place, 1, self.fidelity)
-        if not self.manual:
-            return plan
-        rivals = plan.policies if self.policies else {}
-        return replace(plan, policies={MANUAL: ManualPolicy(plan.config), **rivals})
-
-    @property
-    def own(self) -> Sequence[str]:
-        """Names of the user's own policies."""
-        return [MANUAL] * self.manual + own_policies(self.policies)
+        manual = {MANUAL: ManualPolicy(plan.config)} if self.manual else {}
+        return replace(plan, policies=manual | (dict(plan.policies) if self.policies else {}))
 
 
 class Command(NamedTuple):
@@ -155,6 +148,7 @@ class Frame:
 
     units: tuple[Unit | None, ...]  # episodes in progress; None: no episode at this index
     watched: int  # index of the episode in ``shape``
+    unit: Unit | None  # episode in ``shape``, which may have ended
     rows: tuple[tuple[Unit, FloatArray], ...]  # (p, columns) periods of each episode since the last frame
     shape: ProbeShape | None  # None: no episode has begun
     done: int  # number of finished episodes
@@ -285,21 +279,18 @@ class RunQueue:
                 run = self._waiting.popleft()
                 run.state = "running"
                 self.changes += 1
-            self._play(run)
-
-    def _play(self, run: Run) -> None:
-        """Play a run to its end."""
-        try:
-            for message in (run.request, *run.commands):
-                self._pipe.send(message)
-            while run.state == "running":
-                self._update(run, self._pipe.recv())
-        except (EOFError, OSError):
-            if not self._closed:
-                self._end_worker()
-                died = f"the worker process died (exit status {self._process.wait()})"
-                self._update(run, RunEnded("failed", f"{died}: finished insertions are stored, resume the run"))
-                self._process, self._pipe = start_worker()
+                with suppress(OSError):  # recv notices a dead worker
+                    for message in (run.request, *run.commands):  # while locked: no other command comes first
+                        self._pipe.send(message)
+            try:
+                while run.state == "running":
+                    self._update(run, self._pipe.recv())
+            except (EOFError, OSError):
+                if not self._closed:
+                    self._end_worker()
+                    died = f"the worker process died (exit status {self._process.wait()})"
+                    self._update(run, RunEnded("failed", f"{died}: finished insertions are stored, resume the run"))
+                    self._process, self._pipe = start_worker()
 
     def _update(self, run: Run, message: Message) -> None:
         with self._changed:

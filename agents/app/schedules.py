@@ -10,13 +10,14 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 import numpy as np
+import pandas as pd
 from scipy.special import ndtr
 
 from agents.plant.logs import read_log
+from agents.policies.cases import EvaluationCase
 from agents.policies.catalogue import BY_DIAMETER, STORED, make_policy
 from agents.policies.fixed import FixedPolicy, Replayed
-from agents.policies.lookup import FIRST
-from agents.policies.places import Place
+from agents.policies.on_map import FIRST
 from agents.records.shipped import file_or_shipped
 from probe_env.arrays import FloatArray
 from probe_env.envs.task import TaskConfig, metre_reward
@@ -48,7 +49,8 @@ def points_of(schedule: Schedule) -> Points:
 
 def tidied(points: Mapping[str, Sequence[float]], config: TaskConfig) -> Points:
     """Points in order, within the ranges of feed and air; ``MISSING`` values are interpolated."""
-    columns = np.array([[_finite(value) for value in points[name]] for name in NAMES], dtype=float)
+    columns = np.array([pd.to_numeric(pd.Series(points[name]), errors="coerce") for name in NAMES], dtype=float)
+    columns[~np.isfinite(columns)] = MISSING
     columns = columns[:, np.argsort(columns[0], kind="stable")]
     length = np.maximum(columns[0], 0.0)
     for k in range(1, len(length)):
@@ -56,9 +58,10 @@ def tidied(points: Mapping[str, Sequence[float]], config: TaskConfig) -> Points:
     ranges = (config.feed_speeds, tuple(HOUR * value for value in config.air_supply_rates))
     tidy = [[round(float(value), 3) for value in length]]
     for values, (low, high), digits in zip(columns[1:], ranges, (4, 2), strict=True):
-        known = values != MISSING
-        filled = np.interp(length, length[known], values[known]) if known.any() else np.full(len(length), low)
-        tidy.append([round(float(value), digits) for value in np.clip(np.where(known, values, filled), low, high)])
+        valid = values != MISSING
+        if valid.any():
+            values = np.where(valid, values, np.interp(length, length[valid], values[valid]))
+        tidy.append([round(float(value), digits) for value in np.clip(values, low, high)])
     return dict(zip(NAMES, tidy, strict=True))
 
 
@@ -80,19 +83,6 @@ def csv_text(points: Mapping[str, Sequence[object]], interpolation: Interpolatio
     return "\n".join(lines) + "\n"
 
 
-def with_point(points: Mapping[str, Sequence[float]], config: TaskConfig) -> Points:
-    """Points with another one in the middle of the widest gap."""
-    ends = [0.0, *points[LENGTH], config.scene.tube.helix_length]
-    widest = int(np.diff(ends).argmax())
-    middle = 0.5 * (ends[widest] + ends[widest + 1])
-    return tidied({LENGTH: [*points[LENGTH], middle], **{n: [*points[n], MISSING] for n in NAMES[1:]}}, config)
-
-
-def _finite(value: object) -> float:
-    number = float(value) if isinstance(value, int | float) else MISSING
-    return number if np.isfinite(number) else MISSING
-
-
 @dataclass(frozen=True)
 class Prediction:
     """Prediction of the vibration map for a schedule in several tubes."""
@@ -107,7 +97,7 @@ class Prediction:
     reward: float  # mean of an insertion, without jerk and lost drive, which are not in the map
 
 
-def predict(schedule: Schedule, place: Place) -> Prediction:
+def predict(schedule: Schedule, place: EvaluationCase) -> Prediction:
     """Prediction for a schedule in the tubes of a place; the simulation can differ."""
     if schedule.over != "inserted_length":
         raise ValueError("the vibration map needs a schedule over inserted length: this one is over time")
@@ -116,7 +106,7 @@ def predict(schedule: Schedule, place: Place) -> Prediction:
     length = np.arange(FIRST + 0.5, config.scene.tube.helix_length, 1.0)
     lengths, contexts = np.tile(length, len(tubes)), np.repeat(tubes, len(length), axis=0)
     feed, air = config.given(*schedule.at(lengths)).T
-    mean, deviation = place.vibration.tells(lengths, feed, air, contexts, config.scene)
+    mean, deviation = place.vibration.predict(lengths, feed, air, contexts, config.scene)
     cost = expected_cost(mean, deviation, feed, air, config)
     by_tube = mean.reshape(len(tubes), -1)
     middle = by_tube.mean(axis=0)
@@ -142,11 +132,11 @@ class Line(NamedTuple):
     air: FloatArray
 
 
-def policy_line(spec: str, place: Place) -> Line:
+def policy_line(spec: str, place: EvaluationCase) -> Line:
     """Feed and air of a policy or a schedule file in the first tube of a place."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the line shows what the device can feed
-        policy = make_policy(spec, place.config.all_shown, place.vibration)
+        policy = make_policy(spec, place.config.full_observation, place.vibration)
     if isinstance(policy, Replayed):  # over time
         schedule = policy.schedule
         length = (schedule.start_length or 0.0) + schedule.fed(schedule.position)

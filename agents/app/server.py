@@ -16,7 +16,7 @@ from bokeh.server.server import Server
 from tornado.web import HTTPError, RequestHandler
 
 from agents.app.runs import RunQueue
-from agents.app.screens.page import open_page
+from agents.app.screens.page import Page
 from agents.app.screens.widgets import REPORT_URL
 from agents.app.state import AppState
 from agents.records.shipped import file_or_shipped
@@ -88,7 +88,7 @@ def make_server(app: AppState, tube: Path | None, port: int) -> Server:
         gc.freeze()
 
     def open_document(document: Document) -> None:
-        open_page(app, tube).add_to(document)
+        Page(app, tube).add_to(document)
         document.on_session_destroyed(collect_garbage)
         gc.freeze()  # a garbage collection of open pages would stop them for 0.3 s
 

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from agents.app.forms import TubeForm
 from agents.app.run_store import new_folder
-from agents.app.runs import Command, Run, RunQueue, RunRequest
+from agents.app.runs import MANUAL, Command, Run, RunQueue, RunRequest
 from agents.app.schedules import Points, csv_text, points_of, schedule_of
-from agents.policies.places import Place, map_of, place_of
+from agents.policies.cases import EvaluationCase, case_of, map_of
 from agents.records.atomic import write_atomically
 from agents.records.shipped import policy_file
 from agents.terminal.names import checked_name, name_of
@@ -38,12 +39,12 @@ class Session:
     interpolation: Interpolation = "linear"  # schedule
     run: Run | None = None  # run to show; None: none yet
 
-    def place(self, limit: int = 6) -> Place:
+    def place(self, limit: int = 6) -> EvaluationCase:
         """Task, tubes and vibration map of the present tube."""
         if self.tube.is_study:
-            return place_of(None, "test", limit)
+            return case_of(None, "test", limit)
         vibration = stored_map() if self.tube.changed else map_of(self.tube.path, self.tube.plant)
-        return place_of(self.tube.plant, "test", limit, vibration)
+        return case_of(self.tube.plant, "test", limit, vibration)
 
     def open_schedule(self, path: Path) -> None:
         """Take the points of a schedule file."""
@@ -59,26 +60,28 @@ class Session:
         self.name = checked_name(name.removesuffix(".csv"), "schedule")
         return self._write_schedule(self.app.output / "schedules")
 
-    def start(self, policies: Sequence[str], limit: int, fidelity: str, with_schedule: bool = True) -> Run:
-        """Add a run of policies, and of the session's schedule under its own name."""
+    def start(
+        self, policies: Sequence[str], commands: Sequence[Command], with_schedule: bool = False, **options: Any
+    ) -> Run:
+        """Add a run of policies, of the session's schedule under its own name, or of a manual drive.
+
+        Args:
+            policies: specs.
+            commands: given to the worker when the run begins.
+            with_schedule: whether the session's schedule takes part.
+            options: other fields of the request.
+        """
         if with_schedule:
             schedule_of(self.points, self.interpolation)
         elif not policies:
             raise ValueError("policies = none: at least one is needed")
         tube = self.tube.stored(self.app.output / "tubes")
-        folder = new_folder(self.app.output, self.name if with_schedule else policies[0])
-        specs = [name for name in policies if name != self.name or not with_schedule]
+        name = MANUAL if options.get("manual") else self.name if with_schedule else policies[0]
+        folder = new_folder(self.app.output, name)
+        specs = [spec for spec in policies if not (with_schedule and spec == self.name)]
         if with_schedule:
             specs.insert(0, f"{self.name}={self._write_schedule(folder)}")
-        request = RunRequest(policies=tuple(specs), output=folder, tube=tube, limit=limit, fidelity=fidelity)
-        self.run = self.app.queue.add(request)
-        return self.run
-
-    def drive(self, rival: str, commands: Sequence[Command]) -> Run:
-        """Add a manual drive next to a policy, at ``fast``."""
-        tube = self.tube.stored(self.app.output / "tubes")
-        request = RunRequest(policies=(rival,), output=new_folder(self.app.output, "by-hand"), tube=tube, manual=True)
-        self.run = self.app.queue.add(request, commands)
+        self.run = self.app.queue.add(RunRequest(policies=tuple(specs), output=folder, tube=tube, **options), commands)
         return self.run
 
     def _write_schedule(self, folder: Path) -> Path:

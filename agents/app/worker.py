@@ -18,9 +18,10 @@ from typing import Final
 
 import numpy as np
 
-from agents.app.run_store import write_request
+from agents.app.run_store import REQUEST
 from agents.app.runs import (
     INFO_COLUMNS,
+    MANUAL,
     Command,
     Frame,
     ManualPolicy,
@@ -29,8 +30,10 @@ from agents.app.runs import (
     RunRequest,
     RunStarted,
 )
-from agents.evaluation.plan import BATCH, Plan, Playing, Unit, lines_of, run_plan, stored_episodes
+from agents.evaluation.plan import BATCH, Plan, RolloutRunner, Unit, run_plan, stored_episodes
 from agents.evaluation.run import claim_folder, write_report
+from agents.policies.catalogue import own_policies
+from agents.records.manifest import write_json
 from agents.terminal.refusals import refusal
 from probe_env import Plant
 from probe_env.envs.episodes import Episodes
@@ -53,7 +56,9 @@ def serve(descriptor: int) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     pipe = Connection(descriptor)
     with suppress(EOFError, OSError):
-        _load_kernels()
+        # simulated once, so that the first run begins without loading kernels
+        episodes = Episodes(1, Plant().configured(changes={"settle_time": 0.01}), threads=1, fidelity="fast")
+        episodes.reset([0], {0: np.random.default_rng(0)})
         gc.freeze()  # a collection of all loaded modules takes 0.2 s
         while True:
             message = pipe.recv()
@@ -62,26 +67,20 @@ def serve(descriptor: int) -> None:
     os._exit(0)
 
 
-def _load_kernels() -> None:
-    """Simulate once, so that the first run starts at once."""
-    episodes = Episodes(1, Plant().configured(changes={"settle_time": 0.01}), threads=1, fidelity="fast")
-    episodes.reset([0], {0: np.random.default_rng(0)})
-
-
-def row_of(playing: Playing, k: int) -> tuple[float, ...]:
+def row_of(playing: RolloutRunner, k: int) -> tuple[float, ...]:
     """The last period of probe ``k``, the columns ``runs.COLUMNS``."""
     assert playing.last is not None
     names = (*INFO_COLUMNS, "target_feed_speed", "target_air_supply_rate")
-    return (*(float(playing.last.infos[k][name]) for name in names), playing.episodes.tally[k].reward)
+    return (*(float(playing.last.infos[k][name]) for name in names), playing.episodes.scorer.metrics[k].reward)
 
 
-def shape_of(playing: Playing, k: int) -> ProbeShape:
+def shape_of(playing: RolloutRunner, k: int) -> ProbeShape:
     """Probe ``k`` at the end of its last period."""
     episodes = playing.episodes
     simulator = episodes.batch.simulators[k]
     chain, root, scene = simulator.chain, simulator.root, simulator.scene
     nodes = np.flatnonzero(chain.contact_stiffness[: root + 1] > 0.0)[::-1]
-    radial = episodes.gauges.meter.last_second(k)
+    radial = episodes.meter.last_second(k)
     observation = in_si_units(episodes.config, playing.observed(k))
     return ProbeShape(
         position=(root - nodes) * chain.element_length,
@@ -95,7 +94,7 @@ def shape_of(playing: Playing, k: int) -> ProbeShape:
         helix_length=scene.tube.helix_length,
         signal_time=SAMPLE_PERIOD * (np.arange(len(radial)) + 1 - len(radial)),
         signal_radial=radial,
-        spectrum=episodes.gauges.meter.of_filter(k),
+        spectrum=episodes.meter.filter_spectrum(k),
         feed_speed=simulator.feed_speed,
         observation={name: float(values[0]) for name, values in observation.items()},
     )
@@ -117,9 +116,10 @@ class _Player:
             with warnings.catch_warnings(record=True) as caught:
                 warnings.simplefilter("always")
                 plan = self.request.plan()
-            names, output = list(plan.policies), self.request.output
-            claim_folder(plan, output, names[1] if self.request.manual and len(names) > 1 else None, self.request.own)
-            write_request(self.request)
+            request, names, output = self.request, list(plan.policies), self.request.output
+            own = [MANUAL] * request.manual + own_policies(request.policies)
+            claim_folder(plan, output, names[1] if request.manual and len(names) > 1 else None, own)
+            write_json(output / REQUEST, request.model_dump(mode="json"))  # to resume the run
             stored = stored_episodes(plan, output)
             self.done = sum(key in stored for key, *_ in plan.planned())
             limit = plan.config.limit if plan.config.vibration_measure == "displacement" else None
@@ -138,7 +138,7 @@ class _Player:
     def _source(self, plan: Plan, missing: deque[Unit]) -> Iterator[str]:
         """The lines of the episodes; obeys commands and sends frames in between."""
         self.manual = next((p for p in plan.policies.values() if isinstance(p, ManualPolicy)), None)
-        playing = Playing(plan, missing, BATCH, None)
+        playing = RolloutRunner(plan, missing, BATCH, None)
         self.due = time.monotonic()
         while not playing.over:
             self._receive(playing)
@@ -148,11 +148,11 @@ class _Player:
             for k in np.flatnonzero(playing.active).tolist():
                 self.rows.setdefault(playing.unit(k), []).append(row_of(playing, k))
             self.done += len(ended)
-            yield from lines_of(plan, ended)
+            yield from ended
             if playing.over or time.monotonic() - self.shown_at >= 1.0 / FRAMES_PER_SECOND:
                 self._show(playing)
 
-    def _receive(self, playing: Playing) -> None:
+    def _receive(self, playing: RolloutRunner) -> None:
         """Obey commands; wait while paused, or as long as the pace asks for."""
         while True:
             self.due = max(self.due, time.monotonic() - 1.0)  # does not catch up after a wait
@@ -165,7 +165,7 @@ class _Player:
         if self.pace:
             self.due += 1.0 / self.pace
 
-    def _obey(self, command: Command, playing: Playing) -> bool:
+    def _obey(self, command: Command, playing: RolloutRunner) -> bool:
         """Obey a command; returns whether to simulate a period at once."""
         match command.name:
             case "go":
@@ -189,18 +189,19 @@ class _Player:
                 self.manual.feed_speed, self.manual.air_supply_rate = command.values
         return False
 
-    def _show(self, playing: Playing) -> None:
+    def _show(self, playing: RolloutRunner) -> None:
         """Send a frame."""
         running = playing.episodes.running
         if self.watched >= len(running) or not running[self.watched]:
             self.watched = int(running.argmax()) if running.any() else min(self.watched, len(running) - 1)
         units = tuple(unit if running[k] else None for k, unit in enumerate(playing.units))
         rows = tuple((unit, np.array(rows)) for unit, rows in self.rows.items())
-        shape = None if playing.units[self.watched] is None else shape_of(playing, self.watched)
-        self.pipe.send(Frame(units, self.watched, rows, shape, self.done, self.paused))
+        unit = playing.units[self.watched]
+        shape = None if unit is None else shape_of(playing, self.watched)
+        self.pipe.send(Frame(units, self.watched, unit, rows, shape, self.done, self.paused))
         self.rows, self.shown_at = {}, time.monotonic()
 
-    def _look(self, playing: Playing) -> None:
+    def _look(self, playing: RolloutRunner) -> None:
         """Send slow motion of the watched probe, simulated on a copy: the run itself does not change."""
         if not playing.decided:
             playing.decide()
@@ -211,7 +212,7 @@ class _Player:
         axial = window.axial[:, k] if window and window.axial is not None else np.zeros(0)
         radial = window.radial[:, k] if window and window.radial is not None else np.zeros(0)
         watch = Watch(simulator, length, axial, radial)
-        feed, air = episodes.config.targets(playing.actions, may_stand=True)[k] * episodes.passes.way[k]
+        feed, air = episodes.config.targets(playing.actions, allow_standstill=True)[k] * episodes.direction[k]
         with suppress(SimulationError):  # what was seen until it diverged is shown
             watch.follow(simulator, float(feed), float(air), duration)
         self.pipe.send(watch.motion())

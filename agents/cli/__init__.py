@@ -41,28 +41,12 @@ def _run(arguments: Sequence[str]) -> int:
         return 0
     if name not in COMMANDS:
         return _fail(f"command = {name!r} is not one of {', '.join(COMMANDS)}; see probe-env --help")
-    return _run_command(name, arguments[1:])
-
-
-def _run_command(name: str, arguments: Sequence[str]) -> int:
-    import logging
-    import warnings
-
     from agents.cli.extras import extra_with
     from agents.terminal.refusals import refusal
     from probe_env import SimulationError
 
     try:
-        from agents.terminal.notices import said_when_compiling
-        from probe_env.files import one_line
-
-        warnings.formatwarning = lambda message, *_, **__: f"probe-env: warning: {one_line(str(message))}\n"
-        logger = logging.getLogger("probe_env")  # what "auto" picks and why, and how much there is to do
-        logger.handlers = [logging.StreamHandler(sys.stderr)]
-        logger.setLevel(logging.INFO)
-        command = _command(name, arguments)
-        with said_when_compiling():
-            command.run()
+        _run_command(name, arguments[1:])
     except ImportError as error:
         # the message of Stable-Baselines3 begins with the name of the module
         module = (error.name or str(error)).replace(".", " ").partition(" ")[0]
@@ -77,17 +61,26 @@ def _run_command(name: str, arguments: Sequence[str]) -> int:
     return 0
 
 
-def _command(name: str, arguments: Sequence[str]) -> Any:
-    """The command with its arguments; a named scene gives the defaults of --scene options."""
+def _run_command(name: str, arguments: Sequence[str]) -> None:
+    import logging
+    import warnings
     from importlib import import_module
 
     from agents.cli.parsing import parsed, positional
     from agents.cli.registry import COMMANDS
+    from agents.terminal.notices import said_when_compiling
+    from probe_env.files import one_line
 
+    warnings.formatwarning = lambda message, *_, **__: f"probe-env: warning: {one_line(str(message))}\n"
+    logger = logging.getLogger("probe_env")  # what "auto" picks and why, and how much there is to do
+    logger.handlers = [logging.StreamHandler(sys.stderr)]
+    logger.setLevel(logging.INFO)
     module, _, kind = COMMANDS[name][0].partition(":")
-    command_class = getattr(import_module(f"agents.cli.{module}"), kind)
+    command_class: Any = getattr(import_module(f"agents.cli.{module}"), kind)
     default = command_class.of_scene(positional(arguments)) if hasattr(command_class, "of_scene") else None
-    return parsed(name, command_class, arguments, default)
+    command = parsed(name, command_class, arguments, default)
+    with said_when_compiling():
+        command.run()
 
 
 def _fail(message: str) -> int:

@@ -45,7 +45,7 @@ class Compare:
         """Run what is missing, store, print."""
         from agents.design.compare import compare, print_comparison
         from agents.design.trials import DesignTrials
-        from agents.policies.places import place_at
+        from agents.policies.cases import load_case
         from agents.records.shipped import file_or_shipped
         from agents.terminal.names import checked_name, name_of
         from probe_env.fidelity import resolve_fidelity
@@ -56,13 +56,13 @@ class Compare:
             checked_name(stem if stems.count(stem) == 1 else f"{path.parent.name}/{stem}", "design", "rename the file")
             for path, stem in zip(paths, stems, strict=True)
         ]
-        place = place_at(self.tube, self.contexts, self.limit)
-        designs = {name: _design(path, place.config.scene.probe) for name, path in zip(names, paths, strict=True)}
+        case = load_case(self.tube, self.contexts, self.limit)
+        designs = {name: _design(path, case.config.scene.probe) for name, path in zip(names, paths, strict=True)}
         if len(designs) != len(paths):
             raise ValueError(f"designs = {', '.join(map(str, self.designs))}: two have the same name")
-        config = place.config.all_shown
+        config = case.config.full_observation
         fidelity = resolve_fidelity(self.fidelity, config.scene)
-        trials = DesignTrials(place.contexts, self.feed, self.full, fidelity, config, place.vibration, place.tube)
+        trials = DesignTrials(case.contexts, self.feed, self.full, fidelity, config, case.vibration, case.tube)
         print_comparison(compare(designs, trials, self.output))
         print(f"written: {self.output}/ (designs.csv, summary.csv)")
 
@@ -111,10 +111,10 @@ class DesignSearch:
         """Search, store, print."""
         from agents.design.problem import design_problem
         from agents.design.search import run_design_search
-        from agents.policies.places import place_at
+        from agents.policies.cases import load_case
 
-        place = place_at(self.tube, self.contexts, self.limit)
-        problem = design_problem(self.feed, self.full, place, self.fidelity)
+        case = load_case(self.tube, self.contexts, self.limit)
+        problem = design_problem(self.feed, self.full, case, self.fidelity)
         for cut in problem.cuts:
             print(f"probe-env: note: {cut}", file=sys.stderr)
         run_design_search(problem, self.trials, self.output, self.seed, self.workers)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import tyro
 
@@ -45,7 +45,7 @@ class Evaluate:
     strict: bool = False
     """Refuse policies that were made for other tubes, instead of a warning."""
     passes: Literal["in", "both"] | None = None
-    """in: insertion; both: insertion and withdrawal. Default: in, or as the tube file says. Schedule files may have
+    """in: insertion; both: insertion and withdrawal. Default: as in the tube file, else in. Schedule files may have
     columns for the withdrawal (return_feed_speed_m_per_s, return_air_supply_m3_per_h), agents may be trained for both
     passes; other policies withdraw at the highest feed speed."""
     inspects: Literal["in", "back", "best"] | None = None
@@ -62,21 +62,8 @@ class Evaluate:
         if folder.parts and (named or holds_evaluation(folder)):
             print(f"written: {report_again(folder, self.against)}")
             return
-        evaluate(
-            self.policies,
-            self.output,
-            tube=self.tube,
-            contexts=self.contexts,
-            limit=self.limit,
-            seeds=self.seeds,
-            fidelity=fidelity_given(self.fidelity),
-            probes=self.probes,
-            passes=self.passes,
-            inspects=self.inspects,
-            against=self.against,
-            strict=self.strict,
-            workers=self.workers,
-        )
+        arguments: dict[str, Any] = vars(self) | {"fidelity": fidelity_given(self.fidelity)}
+        evaluate(**arguments)
 
 
 @dataclass(frozen=True)
@@ -135,15 +122,15 @@ class Render:
 
     def run(self) -> None:
         """Simulate, draw, write."""
-        from agents.evaluation.film import Look, render_episode, render_strip
-        from agents.policies.places import plant_at
+        from agents.evaluation.film import render_episode, render_strip
+        from agents.policies.cases import plant_at
 
         if self.at is not None and self.view != "strip":
             raise ValueError(f"at = {self.at!r} m is of the strip: add --view strip")
-        of = {"tube": plant_at(self.tube), "fidelity": self.fidelity, "contexts": self.contexts}
+        of: dict[str, Any] = {"tube": plant_at(self.tube), "fidelity": self.fidelity, "contexts": self.contexts}
         if self.view == "strip":
-            look = Look(self.at, self.length, self.duration)
-            figures = render_strip(self.env_id, self.output, self.policy, self.seed, look, **of)
+            of |= {"at": self.at, "length": self.length, "duration": self.duration}
+            figures = render_strip(self.env_id, self.output, self.policy, self.seed, **of)
         else:
             figures = render_episode(self.env_id, self.output, self.policy, self.every, self.seed, **of)
         for name, value in figures.items():
@@ -161,7 +148,7 @@ class Signal:
     policy: tyro.conf.Positional[str] = "constant"
     """Name of a policy or trained agent, schedule file, feedback law (.json), or trained agent (.safetensors)."""
     flaws: tuple[str, ...] = ()
-    """Flaws as PLACE:DEPTH, in metres from the entrance of the helix and % of the wall: 10:20 30:40. Default: 20 %
+    """Flaws as POSITION:DEPTH, in metres from the entrance of the helix and % of the wall: 10:20 30:40. Default: 20 %
     every 5 m."""
     output: Path = Path("output/signal")
     """Folder of strip.png, flaws.png, channels.csv (X and Y every millisecond), flaws.csv, periods.csv (noise,
@@ -175,7 +162,7 @@ class Signal:
     until: float | None = None
     """Inserted length at the end [m]; default: the end of the helix."""
     fidelity: str = "standard"
-    """Accuracy of the simulation: study, reference or standard; time-lapse would leave metres out."""
+    """Accuracy of the simulation: study, reference or standard; a time-lapse skips metres of the tube."""
     seed: int = 0
     """Seed of the start, the sensor noise and the electronic noise."""
     tube: Path | None = None
@@ -183,12 +170,20 @@ class Signal:
 
     def run(self) -> None:
         """Simulate, draw, write, print."""
-        from agents.evaluation.signal import Look, draw_curves, run_signal
-        from agents.policies.places import place_at, plant_at
+        from agents.evaluation.signal import draw_curves, run_signal
+        from agents.policies.cases import load_case, plant_at
 
         plant = plant_at(self.tube)
-        spacing = plant.tube.support_spacing if plant else None
-        look = Look(self.context, self.flaws, spacing, self.until, self.seed)
         if self.evaluation:
             draw_curves(self.evaluation, self.output)
-        run_signal(self.policy, place_at(self.tube, self.contexts), self.fidelity, look, self.output)
+        run_signal(
+            self.policy,
+            load_case(self.tube, self.contexts),
+            self.fidelity,
+            self.output,
+            context=self.context,
+            flaws=self.flaws,
+            support_spacing=plant.tube.support_spacing if plant else None,
+            until=self.until,
+            seed=self.seed,
+        )

@@ -1,4 +1,4 @@
-"""Commands log, calibrate, recommend and plc."""
+"""Commands log, calibrate, recommend, plc and app."""
 
 from __future__ import annotations
 
@@ -101,24 +101,23 @@ class Calibrate:
 
         from agents.plant.calibration import calibrate, draw_bands, draw_corner, print_calibration, recorded_of
         from agents.plant.response import stored_response
-        from agents.policies.places import plant_at
+        from agents.policies.cases import plant_at
         from agents.records.manifest import origin, write_json
         from probe_env import Plant
 
         plant = plant_at(self.tube) or Plant()
         recorded = recorded_of(self.logs, plant, self.helix_diameters, self.tubes, self.columns)
-        response = stored_response()
-        calibration = calibrate(recorded, plant, response, str(self.tube or "tube"))
+        calibration = calibrate(recorded, plant, stored_response(), str(self.tube or "tube"))
         target = self.output / "calibration.json"
         write_json(target, calibration.to_json() | {"provenance": origin()})
         pictures = [
             draw_corner(calibration, self.output / "corner.png"),
-            draw_bands(calibration, response, self.output / "bands.png"),
+            draw_bands(calibration, self.output / "bands.png"),
         ]
         print_calibration(calibration, own=self.tube is not None)
         print(f"written: {', '.join(map(str, (target, *pictures)))}")
         if calibration.misfits:
-            print("it is not for use: a tube.toml that names it is warned of")
+            print("this posterior is not usable: a tube.toml that names it gives a warning")
         else:
             print(f'use it: posterior = "{target}" above the tables of your tube.toml')
 
@@ -153,7 +152,7 @@ class Recommend:
         """Search, store, simulate, print."""
         from agents.plant.recommendation import Confirmation, recommend
         from agents.plant.response import stored_response
-        from agents.policies.places import plant_at
+        from agents.policies.cases import plant_at
 
         if self.output.suffix != ".csv":
             raise ValueError(f"output = {str(self.output)!r} is not a CSV file (.csv), which schedules are")
@@ -178,20 +177,45 @@ class Plc:
     csv: Path | None = None
     """File of the law as a table over helix diameter, friction and length."""
     trimmed: bool = False
-    """Add integral action on the noise, as in the policy trimmed-law; needs --st."""
+    """Add integral action on the noise, as in the policy plc-integral; needs --st."""
     tube: Path | None = None
     """Your plant (tube.toml); its bore, air, probe and ranges enter the law."""
 
     def run(self) -> None:
         """Write, print."""
         from agents.plant.plc_export import print_law, write_law
-        from agents.policies.places import place_at
+        from agents.policies.cases import load_case
         from agents.policies.plc_law import PlantData, read_constants, read_trim
 
         if self.trimmed and not self.st:
             raise ValueError("trimmed = True needs --st: a table has no memory to trim with")
         constants = read_constants()
-        place = place_at(self.tube, "test")
+        case = load_case(self.tube, "test")
         trim = read_trim() if self.trimmed else None
-        write_law(constants, PlantData.of(place.config), place, self.st, self.csv, trim)
+        write_law(constants, PlantData.of(case.config), case, self.st, self.csv, trim)
         print_law(constants, trim)
+
+
+@dataclass(frozen=True)
+class App:
+    """Open the app in the browser: edit a schedule, run it in your tube, watch and compare.
+
+    The page is served to this machine only.
+
+    Example: probe-env app --tube mine.toml
+    """
+
+    tube: Path | None = None
+    """Tube file (tube.toml) to open; default: the study's tubes."""
+    port: int = 5006
+    """Port of the server; 0: any free port."""
+    output: Path = Path("output/app")
+    """Folder of runs, schedules and tubes."""
+    show: bool = True
+    """Open the page in the default browser."""
+
+    def run(self) -> None:
+        """Serve until it is interrupted."""
+        from agents.app.server import serve
+
+        serve(self.tube, self.port, self.output, self.show)

@@ -18,7 +18,7 @@ COMMANDS: Final = {
     "calibrate": ("plant:Calibrate", "estimate friction and other unknowns from logs"),
     "recommend": ("plant:Recommend", "schedule with the best expected reward for your plant"),
     "plc": ("plant:Plc", "feedback law for a PLC: structured text or table"),
-    "app": ("app:App", "drag, run, watch and compare schedules in the browser"),
+    "app": ("plant:App", "drag, run, watch and compare schedules in the browser"),
     "study": ("studies:Study", "run a study by name or file; make shipped data again"),
 }
 """Name -> module of ``agents.cli`` and dataclass in it, and a line for the first page."""

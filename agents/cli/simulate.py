@@ -62,8 +62,9 @@ class Simulate:
         name = self.scene_file.stem
         within("duration", self.duration, 1e-3, 1e5, "s")
         output = self.output or Path("output") / name
-        step = method_named(self.method).usual_step if self.time_step is None else self.time_step
-        simulator = Simulator(self.scene, self.method, step, self.nodes_per_pitch, solver=self.solver, start=self.start)
+        method = method_named(self.method)
+        step = method.usual_step if self.time_step is None else self.time_step
+        simulator = Simulator(self.scene, method, step, self.nodes_per_pitch, solver=self.solver, start=self.start)
         stable = simulator.stable_time_step
         holds = f"known to hold up to {stable:.2g} s" if math.isfinite(stable) else "holds with any"
         print(f"{name}: {simulator.chain.node_count} nodes, {self.method}, time step {step:g} s ({holds})")

@@ -26,8 +26,8 @@ class Study:
     list: bool = False
     """List the shipped studies and their questions."""
     limit: int | None = None
-    """Number of tubes; 0: all. claims: 1 or more runs five cases; response: number of groups of insertions. Default: as
-    the study says."""
+    """Number of tubes; 0: all. For claims: 1 or more runs five cases. For response: number of groups of insertions.
+    Default: as in the study."""
     policies: tuple[str, ...] = ()
     """Policies instead of the study's, as in `evaluate`; the reference policies stay."""
     fidelity: tuple[str, ...] = ()

@@ -23,16 +23,16 @@ class Train:
     output: Path | None = None
     """Folder of the runs seed-K; default: output/train/NAME."""
     seeds: tuple[int, ...] = ()
-    """Training seeds; default: as the file says."""
+    """Training seeds; default: as in the file."""
     workers: Annotated[Workers, tyro.conf.arg(name="")] = field(default_factory=Workers)
     resume: bool = False
     """Continue from the last checkpoints in the folder."""
     tube: Path | None = None
-    """Your plant (tube.toml); default: as the file says."""
+    """Your plant (tube.toml); default: as in the file."""
 
     def run(self) -> None:
         """Train, print the learning curves."""
-        from agents.policies.places import plant_at
+        from agents.policies.cases import plant_at
         from agents.records.shipped import file_or_shipped
         from agents.training.config import Training
         from agents.training.train import print_curves, train_all

@@ -14,13 +14,12 @@ from tqdm import tqdm
 from agents.design.trials import DesignTrials, claim, tube_column
 from agents.evaluation.kpis import CORE, CORE_FAILURES, OF_DESIGNS, kpis_of
 from agents.evaluation.statistics import Interval, failures, in_words, mean_interval, short
+from agents.policies.cases import TABLE_2
 from agents.policies.catalogue import domains_of, name_and_spec
-from agents.policies.places import TABLE_2
 from agents.policies.policy import check_domains
 from agents.records.atomic import write_atomically
-from agents.records.journal import Journal
 from agents.records.manifest import commit, write_manifest
-from agents.records.models import Key, Stored, require
+from agents.records.models import Journal, Key, Stored, require
 from agents.records.tables import Columns, read_csv
 from agents.terminal.tables import print_table
 from agents.terminal.work import Work, announce
@@ -56,11 +55,23 @@ def compare(designs: Mapping[str, Design], trials: DesignTrials, output: Path) -
         output: folder.
 
     Raises:
-        ValueError: no designs, or the feed does not fit; nothing was run.
+        ValueError: no designs, or feed, measure or a design do not fit; nothing was run.
     """
     if not designs:
         raise ValueError("designs = none: give at least one design file (TOML) or the name of one that ships")
-    check_comparison(designs, trials)
+    check_measure(trials.config)
+    stretch_of(trials.config)
+    feed = None if trials.full else trials.schedule()
+    if trials.tube != TABLE_2:  # there none of the design space is refused
+        name = name_and_spec(trials.feed)[0]
+        check_domains(domains_of([trials.feed], {name: trials.policy()}), trials.config, trials.contexts, strict=False)
+        for name, design in designs.items():
+            for context in trials.contexts:
+                try:
+                    check_candidate(design, context, trials.config, trials.fidelity, feed)
+                except ValueError as error:
+                    reason = explain(error) if isinstance(error, ValidationError) else error
+                    raise ValueError(f"design {name!r} in {trials.tube.name}: {reason}") from error
     journal = Journal(output / "designs.jsonl", Trial)
     claim(output, trials.tube)
     units = [(name, k) for name in designs for k in range(len(trials.contexts))]
@@ -86,29 +97,10 @@ def compare(designs: Mapping[str, Design], trials: DesignTrials, output: Path) -
     )  # fmt: skip
     write_atomically(output / STORED, table.to_csv(index=False, float_format="%.6g"))
     write_atomically(output / "summary.csv", summarise(table).to_csv(index=False, float_format="%.6g"))
-    setting: dict[str, Any] = {"designs": {name: d.built.model_dump() for name, d in designs.items()}}
-    setting |= {"feed": trials.feed, "full": trials.full, "fidelity": trials.fidelity.model_dump()} | column
-    write_manifest(output, (STORED, "summary.csv"), commits=table["commit"], **setting)
+    built = {name: design.built.model_dump() for name, design in designs.items()}
+    setting: dict[str, Any] = trials.setting | column
+    write_manifest(output, (STORED, "summary.csv"), commits=table["commit"], designs=built, **setting)
     return table
-
-
-def check_comparison(designs: Mapping[str, Design], trials: DesignTrials) -> None:
-    """Raise ValueError if a design cannot be tried in a tube, or the task's measure is none of designs."""
-    check_measure(trials.config)
-    stretch_of(trials.config)
-    feed = None if trials.full else trials.schedule()
-    if trials.tube == TABLE_2:
-        return  # of the design space none is refused there
-    name = name_and_spec(trials.feed)[0]
-    domains = domains_of([trials.feed], {name: trials.policy()})
-    check_domains(domains, trials.config, trials.contexts, strict=False)
-    for name, design in designs.items():
-        for context in trials.contexts:
-            try:
-                check_candidate(design, context, trials.config, trials.fidelity, feed)
-            except ValueError as error:
-                reason = explain(error) if isinstance(error, ValidationError) else error
-                raise ValueError(f"design {name!r} in {trials.tube.name}: {reason}") from error
 
 
 def summarise(table: pd.DataFrame) -> pd.DataFrame:

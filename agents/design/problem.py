@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
-from importlib.metadata import version
 from typing import Final, Literal
 
 import numpy as np
 
 from agents.design.trials import DesignTrials
 from agents.evaluation.workers import HERE, Workers
-from agents.policies.lookup import least_air
-from agents.policies.places import TABLE_2, Place
-from agents.records.manifest import commit
+from agents.policies.cases import TABLE_2, EvaluationCase
+from agents.policies.on_map import least_air
 from probe_env import Context, Design
 from probe_env.design import RANGES, ranges_in
 from probe_env.envs.trials import check_candidate, check_measure, stretch_of
@@ -91,11 +88,7 @@ class DesignProblem(DesignTrials):
         """
         feed = None if self.feed == "best-constant" else self.policy().describe()
         tubes = [context.model_dump() for context in self.contexts]
-        parts = [
-            self.axes, tubes, feed, self.full, self.fidelity.model_dump(), self.config.model_dump(mode="json"),
-            version("probe-env"), commit(),
-        ]  # fmt: skip
-        return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:12]
+        return self._hashed([self.axes, tubes, feed])[:12]
 
     def value(self, point: dict[str, float], workers: Workers = HERE) -> Values:
         """The objectives: mean over the tubes, but the least drive margin; lost drive and divergence count in full.
@@ -109,7 +102,7 @@ class DesignProblem(DesignTrials):
         else:
             portions = [everywhere[k :: workers.jobs] for k in range(min(workers.jobs, len(everywhere)))]
             kpis = [row for _, rows in workers.map(partial(self.kpis, point, threads=1), portions) for row in rows]
-        kpis.sort(key=lambda row: row["place"])  # sums do not depend on who was first
+        kpis.sort(key=lambda row: row["tube"])  # sums do not depend on who was first
         slowest, cap = 1.0 / self.config.feed_speeds[0], self.config.ratio_cap**2
         span = stretch_of(self.config).span
         squares = [(k["mean_square_ratio"] * (span - k["missed_m"]) + cap * k["missed_m"]) / span for k in kpis]
@@ -119,43 +112,35 @@ class DesignProblem(DesignTrials):
     def kpis(
         self, point: dict[str, float], tubes: Sequence[tuple[int, Context]], threads: int | None = None
     ) -> list[dict[str, float]]:
-        """KPIs of a point in some of the tubes, given with their places."""
-        design, feed = Design(**{name: point[name] for name in RANGES}), self._constant(point)
-        fit = [tube for tube in tubes if self._can_be_tried(design, tube[1], feed)]
-        places, pairs = [place for place, _ in fit], [(design, context) for _, context in fit]
-        rows = dict(zip(places, self.run(pairs, places, threads, feed) if fit else [], strict=True))
+        """KPIs of a point in some of the tubes, given with their indices."""
+        design, feed = self._probe(point)
+        fit = {k: (design, context) for k, context in tubes if self.can_be_tried(point, context)}
+        rows = dict(zip(fit, self.run([*fit.values()], [*fit], threads, feed) if fit else [], strict=True))
         nothing = {"mean_square_ratio": 0.0, "inspection_time_s": 0.0, "missed_m": stretch_of(self.config).span}
         nothing["drive_margin_n"] = -self.config.required_tension
-        return [rows.get(place, nothing) | {"place": float(place)} for place, _ in tubes]
+        return [rows.get(k, nothing) | {"tube": float(k)} for k, _ in tubes]
 
-    def _constant(self, point: dict[str, float]) -> Schedule | None:
+    def _probe(self, point: dict[str, float]) -> tuple[Design, Schedule | None]:
+        """The probe of a point, and its feed where that is searched."""
+        design = Design(**{name: point[name] for name in RANGES})
         if self.feed != "best-constant":
-            return None
-        return Schedule("inserted_length", "linear", (5.0,), (point["feed_speed"],), (point["air_supply_rate"],))
+            return design, None
+        feed, air = (point["feed_speed"],), (point["air_supply_rate"],)
+        return design, Schedule("inserted_length", "linear", (5.0,), feed, air)
 
-    def _can_be_tried(self, design: Design, context: Context, feed: Schedule | None) -> bool:
+    def can_be_tried(self, point: dict[str, float], context: Context) -> bool:
         """Whether a probe can be simulated in a tube; in table 2's all of the design space can."""
         if self.tube == TABLE_2:
             return True
+        design, feed = self._probe(point)
         given = feed or (None if self.full else self.schedule())
-        try:
+        with suppress(ValueError):
             check_candidate(design, context, self.config, self.fidelity, given)
-        except ValueError:
-            return False
-        return True
-
-    def check(self) -> None:
-        """Raise ValueError if the feed does not fit, or the probes to beat can nowhere be tried."""
-        check_measure(self.config)
-        stretch_of(self.config)
-        if self.feed != "best-constant" and not self.full:
-            self.schedule()
-        starts = [(Design(**{name: start[name] for name in RANGES}), self._constant(start)) for start in self.starts()]
-        if not any(self._can_be_tried(start[0], context, start[1]) for start in starts for context in self.contexts):
-            raise ValueError(f"tube = {self.tube.name}: {', '.join(self.probes)} can be simulated in none of its tubes")
+            return True
+        return False
 
 
-def design_problem(feed: str, full: bool, place: Place, fidelity: str) -> DesignProblem:
+def design_problem(feed: str, full: bool, place: EvaluationCase, fidelity: str) -> DesignProblem:
     """The problem that a command names.
 
     Args:
@@ -165,12 +150,18 @@ def design_problem(feed: str, full: bool, place: Place, fidelity: str) -> Design
         fidelity: preset, or "auto".
 
     Raises:
-        ValueError: an argument is not valid, the feed does not fit, or the tubes do not.
+        ValueError: an argument is not valid, the feed or the tubes do not fit, or no probe to beat can be tried.
     """
     if full and feed == "best-constant":
         raise ValueError("feed = 'best-constant' is searched in sections; with full give a schedule or an agent")
-    config = place.config.all_shown
+    config = place.config.full_observation
     chosen = resolve_fidelity(fidelity, config.scene)
     problem = DesignProblem(place.contexts, feed, full, chosen, config, place.vibration, place.tube)
-    problem.check()
+    check_measure(config)
+    stretch_of(config)
+    if feed != "best-constant" and not full:
+        problem.schedule()
+    if not any(problem.can_be_tried(start, context) for start in problem.starts() for context in problem.contexts):
+        probes = ", ".join(problem.probes)
+        raise ValueError(f"tube = {problem.tube.name}: {probes} can be simulated in none of its tubes")
     return problem

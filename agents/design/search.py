@@ -35,7 +35,7 @@ from agents.terminal.tables import print_table
 from agents.terminal.work import Work, announce
 from probe_env import Design
 from probe_env.design import RANGES
-from probe_env.envs.task import Outcome, TaskConfig, reward_terms
+from probe_env.envs.task import TaskConfig, reward_terms
 from probe_env.envs.trials import stretch_of
 from probe_env.settings import within
 
@@ -148,8 +148,7 @@ def run_design_search(
     Raises:
         ValueError: an argument is not valid; nothing was run.
     """
-    if seed < 0:
-        raise ValueError(f"seed = {seed!r} is outside the accepted range 0 and more")
+    within("seed", seed, 0, 2**63, "")
     within("trials", trials, 2, 1_000_000, "")
     name = f"{problem.feed} {problem.identity()} seed {seed}"
     claim(output, problem.tube)
@@ -163,10 +162,9 @@ def run_design_search(
     names = [name for name in problem.probes for _ in problem.reference_feeds()]  # of the first trials
     references = table.iloc[: len(names)].assign(design=names[: len(table)])
     _draw_front(table, references, output / "front.png", problem.tube.title)
-    setting: dict[str, Any] = {"feed": problem.feed, "full": problem.full, "fidelity": problem.fidelity.model_dump()}
-    setting |= {"contexts": len(problem.contexts), "trials": len(table), "seed": seed} | column
+    setting: dict[str, Any] = {"contexts": len(problem.contexts), "trials": len(table), "seed": seed} | column
     files = ("trials.csv", "front.csv", "sensitivity.csv", "found.toml")
-    write_manifest(output, files, seeds=(seed,), commits=table[COMMIT], **setting)
+    write_manifest(output, files, seeds=(seed,), commits=table[COMMIT], **problem.setting, **setting)
     _print(front, influence, problem)
     print(f"written: {output}/ (front.csv, trials.csv, sensitivity.csv, front.png, found.toml)")
     return table
@@ -178,12 +176,8 @@ def best_of(front: pd.DataFrame, config: TaskConfig) -> Design:
 
     def reward(row: dict[str, float]) -> float:  # of the span; air of a given schedule is the same for all
         seconds = row["inspection_time_s"]
-        parts = {
-            "inspected": span - row["guide_length"], "squares": span * row["mean_square_ratio"], "seconds": seconds,
-            "air": seconds * row.get("air_supply_rate", 0.0), "uninspected": 0.0, "diverged": 0.0,
-        }  # fmt: skip
-        outcome = Outcome(**{name: np.asarray(value) for name, value in parts.items()})
-        return float(sum(reward_terms(config, outcome).values()))
+        squares, air = span * row["mean_square_ratio"], seconds * row.get("air_supply_rate", 0.0)
+        return float(sum(reward_terms(config, span - row["guide_length"], squares, seconds, air).values()))
 
     rows: list[Any] = front.to_dict("records")
     best = max([row for row in rows if row["drive_margin_n"] >= 0.0] or rows, key=reward)

@@ -8,13 +8,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
+from agents.policies.cases import TABLE_2, Named
 from agents.policies.catalogue import make_policy
 from agents.policies.fixed import Scheduled
-from agents.policies.places import TABLE_2, Named
 from agents.policies.policy import Policy
 from agents.records.manifest import commit, write_json
 from agents.records.models import Stored, read_json
@@ -23,7 +23,6 @@ from probe_env import Context, Design, Fidelity
 from probe_env.envs.task import TaskConfig
 from probe_env.envs.trials import Candidate, judge, try_insertions, try_sections
 from probe_env.envs.vibration_map import VibrationMap
-from probe_env.fidelity import with_nodes
 from probe_env.schedule import Schedule
 
 TUBE_FILE: Final = "tube.json"
@@ -44,7 +43,7 @@ class DesignTrials:
         contexts: tubes.
         feed: a policy by its spec; for sections it must be a schedule over inserted length.
         full: whole insertions instead of sections of constant length.
-        fidelity: of the simulation.
+        fidelity: of the simulation, resolved for the scene.
         config: the task, with the scene that designs and contexts change.
         vibration: the map that some policies look things up in; default: the shipped one.
         tube: what the plant is called.
@@ -54,12 +53,9 @@ class DesignTrials:
     feed: str = "constant"
     full: bool = False
     fidelity: Fidelity = field(default_factory=Fidelity)
-    config: TaskConfig = field(default_factory=lambda: TaskConfig().all_shown)
+    config: TaskConfig = field(default_factory=lambda: TaskConfig().full_observation)
     vibration: VibrationMap | None = None
     tube: Named = TABLE_2
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "fidelity", with_nodes(self.fidelity, self.config.scene))
 
     def policy(self) -> Policy:
         """The feed as a policy.
@@ -86,11 +82,19 @@ class DesignTrials:
 
     def key(self, design: Design, context: Context, index: int = 0) -> str:
         """Identity of one result; the index of the context seeds the start."""
-        parts = [
-            index, design.built.model_dump(), context.model_dump(), self.policy().describe(), self.full,
-            self.fidelity.model_dump(), self.config.model_dump(mode="json"), version("probe-env"), commit(),
-        ]  # fmt: skip
-        return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:16]
+        parts = [index, design.built.model_dump(), context.model_dump(), self.policy().describe()]
+        return self._hashed(parts)[:16]
+
+    def _hashed(self, parts: Sequence[Any]) -> str:
+        """Hash of some parts and all that is common to all trials."""
+        common = [self.full, self.fidelity.model_dump(), self.config.model_dump(mode="json")]
+        text = json.dumps([*parts, *common, version("probe-env"), commit()], sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()
+
+    @property
+    def setting(self) -> dict[str, Any]:
+        """What a manifest says of the trials."""
+        return {"feed": self.feed, "full": self.full, "fidelity": self.fidelity.model_dump()}
 
     def run(
         self,

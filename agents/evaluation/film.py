@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -18,6 +17,7 @@ from tqdm import tqdm
 import probe_env
 from agents.policies.catalogue import make_policy
 from agents.records.atomic import write_atomically
+from probe_env.arrays import FloatArray
 from probe_env.envs.episodes import Episodes
 from probe_env.envs.pictures.strip import FRAME_PERIOD, SLOWED, Motion, Strip, Watch
 from probe_env.envs.pictures.strip import FRAMES_PER_SECOND as SLOW_FRAMES_PER_SECOND
@@ -39,40 +39,27 @@ COLOURS: Final = 255
 """Colours of a GIF, the same in all its pictures."""
 
 
-@dataclass(frozen=True)
-class Look:
-    """The view of a film in slow motion.
+class _Episode:
+    """An episode of an environment under a policy (by its spec, see ``catalogue``)."""
 
-    Attributes:
-        at: inserted length at which it begins [m]; None: three quarters of the helix, for a constant length at once.
-        length: how far behind the tip it reaches [m], at least to the sensor; cut to what is inserted.
-        duration: of the dynamics [s], a whole number of milliseconds.
-    """
-
-    at: float | None = None
-    length: float = 10.0
-    duration: float = 0.5
-
-
-class _Play:
     def __init__(self, env_id: str, policy: str, **arguments: Any) -> None:
         assert probe_env.__all__  # imported for its ids
         self.env: Any = gym.make(env_id, config=dict.fromkeys(SHOWN, True), **arguments)
         self.episodes: Episodes = self.env.get_wrapper_attr("episodes")
-        self.episodes.may_stand = True  # as in an evaluation
+        self.episodes.allow_standstill = True  # as in an evaluation
         self._policy = make_policy(policy, self.episodes.config, classes=True)
+        self._state: Any = None
+        self._start = np.ones(1, dtype=bool)
         self.ended, self.info = False, dict[str, Any]()
 
     def reset(self, seed: int) -> None:
         """Settle in a tube."""
         self._observation, self.info = self.env.reset(seed=seed)
-        self._state, self._start = None, np.ones(1, dtype=bool)
 
     def decide(self) -> npt.NDArray[np.float32]:
         """The policy's action (2,) for the period to come."""
-        action, self._state = self._policy.predict(
-            self._observation[None], self._state, self._start, deterministic=True
-        )
+        observation = self._observation[None]
+        action, self._state = self._policy.predict(observation, self._state, self._start, deterministic=True)
         self._start = np.zeros(1, dtype=bool)
         return np.asarray(action[0], dtype=np.float32)
 
@@ -83,7 +70,7 @@ class _Play:
 
 
 def render_episode(env_id: str, output: Path, policy: str, every: int, seed: int, **arguments: Any) -> dict[str, float]:
-    """Film an episode under a policy (by its spec, see ``catalogue``), a frame every so many control periods.
+    """Film an episode under a policy, a frame every ``every`` control periods.
 
     Returns:
         the episode's KPIs.
@@ -94,47 +81,73 @@ def render_episode(env_id: str, output: Path, policy: str, every: int, seed: int
     check_format(output)
     if every < 1:
         raise ValueError(f"every = {every!r} is outside the accepted range 1 and more")
-    play = _Play(env_id, policy, render_mode="rgb_array", **arguments)
-    play.reset(seed)
+    episode, steps = _Episode(env_id, policy, render_mode="rgb_array", **arguments), 0
+    episode.reset(seed)
     whole = output.suffix != ".png"
-    frames: list[Any] = [play.env.render()] if whole else []
-    steps = 0
+    frames: list[Any] = [episode.env.render()] if whole else []
     with tqdm(desc=f"{env_id}", unit="period") as bar:
-        while not play.ended:
-            play.step(play.decide())
+        while not episode.ended:
+            episode.step(episode.decide())
             steps += 1
-            if (whole and steps % every == 0) or play.ended:
-                frames.append(play.env.render())
+            if (whole and steps % every == 0) or episode.ended:
+                frames.append(episode.env.render())
             bar.update()
-    play.env.close()
-    write_film(output, frames, FRAMES_PER_SECOND)
-    kpis: dict[str, float] = play.info["episode_kpis"]
+    episode.env.close()
+    _write_film(output, frames, FRAMES_PER_SECOND)
+    kpis: dict[str, float] = episode.info["episode_kpis"]
     return kpis
 
 
-def render_strip(env_id: str, output: Path, policy: str, seed: int, look: Look, **arguments: Any) -> dict[str, float]:
+def render_strip(
+    env_id: str,
+    output: Path,
+    policy: str,
+    seed: int,
+    at: float | None = None,
+    length: float = 10.0,
+    duration: float = 0.5,
+    **arguments: Any,
+) -> dict[str, float]:
     """Film the motion near the tip in slow motion, from an inserted length on that a policy has fed in.
+
+    Args:
+        env_id: of the environment.
+        output: file of the film.
+        policy: by its spec.
+        seed: of the tube and the sensor noise.
+        at: inserted length at which it begins [m]; None: three quarters of the helix, for a constant length at once.
+        length: how far behind the tip it reaches [m], at least to the sensor; cut to what is inserted.
+        duration: of the dynamics [s], a whole number of milliseconds.
+        arguments: of the environment.
 
     Returns:
         what the film shows, SI units.
 
     Raises:
         ValueError: an argument is not valid, or the episode ended before the length was reached; nothing was written.
-        SimulationError: the state diverged while it was looked at.
+        SimulationError: the state diverged in the film.
     """
     check_format(output)
-    play = _Play(env_id, policy, **arguments)
-    at = _checked(look, play.episodes)
-    play.reset(seed)
-    motion = _motion(play, at, look)
+    episode = _Episode(env_id, policy, **arguments)
+    simulator = episode.episodes.batch.simulators[0]  # not settled, in no tube that was drawn
+    start, end = simulator.inserted_length, simulator.scene.tube.helix_length
+    within("length", length, simulator.scene.probe.guide_length, FARTHEST, "m")  # the sensor is in the picture
+    within("duration", duration, FRAME_PERIOD, LONGEST, "s")
+    whole_steps("duration", duration, SAMPLE_PERIOD)
+    if not episode.episodes.config.growing:
+        if at is not None:
+            raise ValueError(f"at = {at!r} m needs a probe that is fed in; here its length stays {start:g} m")
+        at = start
+    at = WHERE * end if at is None else at
+    if not start <= at < end:
+        raise ValueError(
+            f"at = {at!r} m is outside the accepted range {start:g} m, where it starts, to less than {end:g} m"
+        )
+    episode.reset(seed)
+    motion = _motion(episode, at, length, duration)
     strip = Strip(motion, Path(policy).stem)
-    shown = range(len(motion.time)) if output.suffix != ".png" else [len(motion.time) - 1]
-    frames = [strip.picture(k) for k in tqdm(shown, desc="pictures", unit="")]
-    write_film(output, frames, SLOW_FRAMES_PER_SECOND)
-    return _figures(motion)
-
-
-def _figures(motion: Motion) -> dict[str, float]:
+    chosen = range(len(motion.time)) if output.suffix != ".png" else [len(motion.time) - 1]
+    _write_film(output, [strip.picture(k) for k in tqdm(chosen, desc="pictures", unit="")], SLOW_FRAMES_PER_SECOND)
     figures = {"inserted_length_m": float(motion.inserted_length[0]), "shown_s": float(motion.time[-1])}
     figures["times_slowed"] = SLOWED
     for name, values in (("axial", motion.signal_axial), ("radial", motion.signal_radial)):
@@ -145,54 +158,33 @@ def _figures(motion: Motion) -> dict[str, float]:
     return figures
 
 
-def _motion(play: _Play, at: float, look: Look) -> Motion:
-    episodes = play.episodes
+def _motion(episode: _Episode, at: float, length: float, duration: float) -> Motion:
+    episodes = episode.episodes
     with tqdm(desc="feeding", unit="period") as bar:
-        while play.info["inserted_length"] < at and not play.ended:
-            play.step(play.decide())
+        while episode.info["inserted_length"] < at and not episode.ended:
+            episode.step(episode.decide())
             bar.update()
-    if play.ended:
+    if episode.ended:
+        info = episode.info
+        reasons = (", the drive lost" if info["lost_drive"] else "") + (", diverged" if info["diverged"] else "")
         raise ValueError(
-            f"at = {at:g} m was not reached: the episode ended at {play.info['inserted_length']:.4g} m"
-            f"{', the drive lost' if play.info['lost_drive'] else ''}{', diverged' if play.info['diverged'] else ''}"
+            f"at = {at:g} m was not reached: the episode ended at {info['inserted_length']:.4g} m{reasons}"
         )
-    felt, left = episodes.window, look.duration
-    before = (
-        (felt.axial[:, 0], felt.radial[:, 0]) if felt and felt.axial is not None and felt.radial is not None else ()
-    )
-    watch = Watch(episodes.batch.simulators[0], look.length, *(before or (np.zeros(0), np.zeros(0))))
-    while left > 0.5 * SAMPLE_PERIOD and not play.ended:
-        action = play.decide()
-        targets = episodes.config.targets(action[None]) * episodes.passes.way[:, None]
+    axial: FloatArray = np.zeros(0)
+    radial: FloatArray = np.zeros(0)
+    window = episodes.window
+    if window and window.axial is not None and window.radial is not None:
+        axial, radial = window.axial[:, 0], window.radial[:, 0]
+    watch, remaining = Watch(episodes.batch.simulators[0], length, axial, radial), duration
+    while remaining > 0.5 * SAMPLE_PERIOD and not episode.ended:
+        action = episode.decide()
+        targets = episodes.config.targets(action[None]) * episodes.direction[:, None]
         period = episodes.config.period / episodes.time_lapse(targets)[0]  # of the dynamics
         feed_speed, air_supply_rate = targets[0]
-        watch.follow(episodes.batch.simulators[0], feed_speed, air_supply_rate, min(left, period))
-        play.step(action)
-        left -= period
+        watch.follow(episodes.batch.simulators[0], feed_speed, air_supply_rate, min(remaining, period))
+        episode.step(action)
+        remaining -= period
     return watch.motion()
-
-
-def _checked(look: Look, episodes: Episodes) -> float:
-    """The inserted length at which to look [m].
-
-    Raises:
-        ValueError: something is out of range.
-    """
-    simulator = episodes.batch.simulators[0]  # not settled, in no tube that was drawn
-    start, end = simulator.inserted_length, simulator.scene.tube.helix_length
-    within("length", look.length, simulator.scene.probe.guide_length, FARTHEST, "m")  # the sensor is in the picture
-    within("duration", look.duration, FRAME_PERIOD, LONGEST, "s")
-    whole_steps("duration", look.duration, SAMPLE_PERIOD)
-    if not episodes.config.growing:
-        if look.at is not None:
-            raise ValueError(f"at = {look.at!r} m needs a probe that is fed in; here its length stays {start:g} m")
-        return start
-    at = WHERE * end if look.at is None else look.at
-    if not start <= at < end:
-        raise ValueError(
-            f"at = {at!r} m is outside the accepted range {start:g} m, where it starts, to less than {end:g} m"
-        )
-    return at
 
 
 def check_format(output: Path) -> None:
@@ -201,7 +193,7 @@ def check_format(output: Path) -> None:
         raise ValueError(f"output = {str(output)!r} must end in one of {', '.join(FORMATS)}")
 
 
-def write_film(output: Path, frames: Sequence[Any], frames_per_second: int) -> None:
+def _write_film(output: Path, frames: Sequence[Any], frames_per_second: int) -> None:
     """Write RGB pictures (h, w, 3) as a film (.gif, .mp4), or the last of them (.png), atomically."""
     if output.suffix == ".gif":
         film = _gif(frames, frames_per_second)

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import errno
 import io
-from collections.abc import Iterable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, Self
+from typing import Any, Final, NamedTuple, Self
 
 import numpy as np
 import pandas as pd
@@ -21,16 +22,15 @@ from pydantic_core import PydanticCustomError
 from agents.evaluation.kpis import CARRIED, CORE, CORE_FAILURES, COST_KPIS, HEARD, KPIS
 from agents.evaluation.statistics import grouped
 from agents.records.atomic import write_atomically
-from agents.records.journal import Journal
-from agents.records.models import Key, Record, Stored, require
-from agents.records.reading import FileError, check_table, read_csv, read_json, read_parquet
-from agents.records.tables import Columns, Kind
+from agents.records.models import Journal, Key, Record, Stored, read_json, require
+from agents.records.tables import Columns, Kind, check_table, read_csv, read_parquet
 from agents.terminal.names import name_problem
 from probe_env import Context
 from probe_env.design import RANGES
 from probe_env.envs.episodes.starts import Probes
 from probe_env.envs.task import ENDINGS, TaskConfig
-from probe_env.inspection.tally import POD_NAMES
+from probe_env.files import FileError
+from probe_env.inspection.metrics import POD_NAMES
 
 UNFINISHED: Final = "unfinished.json"
 TABLES: Final = ("episodes", "profile")
@@ -155,19 +155,12 @@ def write_tables(table: pd.DataFrame, profile: pd.DataFrame, output: Path) -> No
         write_atomically(output / f"{name}.parquet", buffer.getvalue())
 
 
-@dataclass(frozen=True)
-class Missing:
-    """What an interrupted evaluation has not played yet."""
+class Missing(NamedTuple):
+    """Numbers of stored and planned episodes of an interrupted evaluation; policies and what each of them lacks."""
 
     stored: int
-    """Number of stored episodes."""
     planned: int
     gaps: tuple[tuple[str, str], ...]
-    """Policy and its missing episodes, in words."""
-    left_out: tuple[str, ...]
-    """Policies that are not compared, as too few of their tubes are stored."""
-    command: str
-    """Continues the evaluation."""
 
 
 @dataclass(frozen=True)
@@ -241,9 +234,10 @@ def _interrupted(folder: Path) -> Evaluation:
     check_table(journal.path, table, EPISODES, EPISODES_NEWER)
     check_table(journal.path, profile, PROFILE)
     table, profile = grouped(table), grouped(profile)
-    compared = {name for _, name, _, _ in chosen}
-    left_out = tuple(dict.fromkeys(name for _, name, _, _ in stored if name not in compared))
-    missing = Missing(len(stored), len(plan.episodes), tuple(_gaps(plan.episodes, done)), left_out, plan.command)
+    total = Counter(name for _, name, _, _ in plan.episodes)
+    absent = Counter(name for key, name, _, _ in plan.episodes if key not in done)
+    gaps = tuple((name, f"{absent[name]} of {total[name]} insertions") for name in total if absent[name])
+    missing = Missing(len(stored), len(plan.episodes), gaps)
     return Evaluation(table, profile, setting, plan, *_compared(folder, table, strict=False), missing)
 
 
@@ -257,25 +251,3 @@ def comparable(stored: Sequence[Planned]) -> list[Planned]:
     shared = [set.intersection(*(cases[name] for name in group)) for group in groups]
     best = max(range(len(groups)), key=lambda number: (len(groups[number]) * len(shared[number]), number))
     return [e for e in stored if e[1] in groups[best] and (e[2], e[3]) in shared[best]]
-
-
-def _gaps(planned: Iterable[Planned], done: Mapping[str, Any]) -> Iterable[tuple[str, str]]:
-    episodes = pd.DataFrame(planned, columns=["key", "policy", "context", "seed"])
-    for name, part in episodes.groupby("policy", sort=False):
-        missing = part.loc[~part["key"].isin(list(done)), "context"]
-        if len(missing) == len(part):
-            yield str(name), f"all of its {len(part)} insertions"
-        elif len(missing):
-            tubes = "tubes" if missing.nunique() > 1 else "tube"
-            yield str(name), f"{len(missing)} of {len(part)} insertions: {tubes} {spans(missing)}"
-
-
-def spans(numbers: Iterable[int]) -> str:
-    """Whole numbers in words: "0 to 3, 7"."""
-    runs: list[list[int]] = []
-    for number in sorted(set(numbers)):
-        if runs and number == runs[-1][1] + 1:
-            runs[-1][1] = number
-        else:
-            runs.append([number, number])
-    return ", ".join(f"{low}" if low == high else f"{low} to {high}" for low, high in runs)

@@ -8,11 +8,11 @@ from __future__ import annotations
 import hashlib
 import json
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -25,7 +25,7 @@ from agents.evaluation.kpis import CARRIED, HEARD
 from agents.evaluation.workers import HERE, Workers
 from agents.policies.policy import Policy as Policy
 from agents.records.manifest import commit, origin, write_json, write_manifest
-from agents.records.reading import FileError, read_json
+from agents.records.models import read_json
 from agents.terminal.work import Work, announce
 from probe_env import Context, Fidelity
 from probe_env.arrays import BoolArray
@@ -36,7 +36,7 @@ from probe_env.envs.surrogate import make_episodes
 from probe_env.envs.task import SHOWN, TaskConfig, describe
 from probe_env.envs.trials import Players
 from probe_env.envs.vibration_map import VibrationMap
-from probe_env.fidelity import with_nodes
+from probe_env.files import FileError
 
 BATCH: Final = 16
 """Episodes side by side."""
@@ -53,7 +53,7 @@ class Plan:
         contexts: the tubes.
         seeds: of sensor noise and start.
         config: the task.
-        fidelity: of the simulation; nodes are added where the scene needs them (``fidelity.with_nodes``).
+        fidelity: of the simulation, resolved for the scene (``fidelity.resolve_fidelity``).
         probes: "scene", or "random": context and seed draw a ``Design``, the same for every policy.
         vibration: map of fidelity "surrogate"; default: the shipped one.
     """
@@ -65,9 +65,6 @@ class Plan:
     fidelity: Fidelity = field(default_factory=Fidelity)
     probes: Probes = "scene"
     vibration: VibrationMap | None = None
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "fidelity", with_nodes(self.fidelity, self.config.scene))
 
     def setting(self) -> dict[str, Any]:
         """What all episodes of a folder share, JSON-ready."""
@@ -96,7 +93,7 @@ class Plan:
 
 
 Source = Callable[[Plan, "deque[Unit]"], Iterator[str]]
-"""Plays episodes of a plan and gives a line of JSON for each, see ``lines_of``."""
+"""Plays episodes of a plan and gives a line of the journal for each."""
 
 
 def run_plan(
@@ -111,9 +108,9 @@ def run_plan(
 ) -> pd.DataFrame:
     """Play what is missing in a folder and return the table of all episodes of the plan.
 
-    Each episode is appended to ``episodes.jsonl`` as it ends (with Ray when its portion ends). At the end the tables
-    ``episodes.csv``, ``episodes.parquet`` and ``profile.parquet`` are written; until then ``unfinished.json`` lists
-    the episodes of the plan.
+    Each episode is appended to ``episodes.jsonl`` as it ends, with workers when its portion of up to ``batch`` ends. At
+    the end the tables ``episodes.csv``, ``episodes.parquet`` and ``profile.parquet`` are written; until then
+    ``unfinished.json`` lists the episodes of the plan.
 
     Args:
         plan: the evaluation.
@@ -148,9 +145,8 @@ def run_plan(
         done = journal.read()
     table, profile = gathered(plan.planned(), plan.contexts, done)
     write_tables(table, profile, output)
-    policies = {name: policy.describe() for name, policy in plan.policies.items()}
-    made: dict[str, Any] = {"command": command, "commits": table["commit"], "seeds": plan.seeds}
-    write_manifest(output, (*FILES, "setting.json"), **made, policies=policies)
+    files, policies = (*FILES, "setting.json"), plan.described()["policies"]
+    write_manifest(output, files, seeds=plan.seeds, command=command, commits=table["commit"], policies=policies)
     (output / UNFINISHED).unlink(missing_ok=True)
     return table
 
@@ -186,30 +182,14 @@ def _shared(setting: Setting) -> dict[str, Any]:
 
 def _lines(plan: Plan, missing: deque[Unit], batch: int, threads: int | None, workers: Workers) -> Iterator[str]:
     if workers.here:
-        yield from _play(plan, missing, batch, threads)
+        runner = RolloutRunner(plan, missing, batch, threads)
+        while not runner.over:
+            yield from runner.step()
         return
-    size, units = (
-        max(min(batch, len(missing) // (2 * workers.jobs)), 1),
-        list(missing),
-    )  # two portions a worker, or more
+    size, units = max(min(batch, len(missing) // (2 * workers.jobs)), 1), list(missing)
     portions = [units[begin : begin + size] for begin in range(0, len(units), size)]
-    for _, line in workers.stream(lambda portion: _play(plan, deque(portion), size, 1), portions):
-        yield line
-
-
-def _play(plan: Plan, missing: deque[Unit], batch: int, threads: int | None) -> Iterator[str]:
-    playing = Playing(plan, missing, batch, threads)
-    while not playing.over:
-        yield from lines_of(plan, playing.step())
-
-
-def lines_of(plan: Plan, ended: Iterable[Ended]) -> Iterator[str]:
-    """A line of JSON for each episode that has ended."""
-    for episode in ended:
-        profile = {name: [float(f"{v:.5g}") for v in values] for name, values in per_metre(episode.profile).items()}
-        record = {"key": plan.key(episode.unit), "unit": episode.unit, "commit": commit(), "kpis": episode.kpis}
-        probe = {"probe": episode.probe} if episode.probe else {}
-        yield json.dumps(record | {"profile": profile} | probe) + "\n"
+    for _, lines in workers.map(lambda portion: list(_lines(plan, deque(portion), size, 1, HERE)), portions):
+        yield from lines
 
 
 def per_metre(profile: list[tuple[float, ...]]) -> dict[str, npt.NDArray[np.float64]]:
@@ -231,23 +211,7 @@ def per_metre(profile: list[tuple[float, ...]]) -> dict[str, npt.NDArray[np.floa
     return {name: means[name].to_numpy() for name in COLUMNS}
 
 
-class Ended(NamedTuple):
-    """An episode that has ended.
-
-    Attributes:
-        unit: policy name, context number and seed.
-        kpis: by name.
-        profile: a row for each control period of the way in, columns ``COLUMNS``.
-        probe: the random probe; None: the scene's.
-    """
-
-    unit: Unit
-    kpis: dict[str, float]
-    profile: list[tuple[float, ...]]
-    probe: dict[str, float] | None
-
-
-class Playing:
+class RolloutRunner:
     """Episodes of a plan side by side, the next one starting wherever one ends.
 
     Args:
@@ -259,7 +223,7 @@ class Playing:
     Attributes:
         episodes: the running episodes.
         units: unit of each lane.
-        profile: rows of each lane up to now.
+        profile: of each lane a row for each control period of the insertion up to now, columns ``COLUMNS``.
         decided: whether the actions of the next period are decided.
         actions: (N, 2) that were decided last.
         last: the last period; None before the first.
@@ -273,7 +237,7 @@ class Playing:
             count,
             plan.config,
             threads=threads,
-            may_stand=True,
+            allow_standstill=True,
             fidelity=plan.fidelity,
             probes=plan.probes,
             surrogate_map=plan.vibration,
@@ -284,7 +248,7 @@ class Playing:
         self.actions = np.zeros((count, 2), dtype=np.float32)
         self.last: Step | None = None
         self.active: BoolArray = np.zeros(count, dtype=bool)
-        self._probes: list[dict[str, float] | None] = [None] * count
+        self._probes: dict[int, dict[str, float]] = {}
         self._players = Players(count)
         self._observation: npt.NDArray[np.float32] = self.episodes.observation.copy()
 
@@ -293,28 +257,31 @@ class Playing:
         """Whether all episodes have ended."""
         return not self.missing and not self.episodes.running.any()
 
-    def step(self) -> Iterator[Ended]:
-        """Play a control period; gives the episodes that end with it."""
+    def step(self) -> Iterator[str]:
+        """Play a control period; gives the lines of the journal of the episodes that end with it."""
         self.decide()
         yield from self.advance()
 
     def decide(self) -> None:
         """Begin episodes in idle lanes, and let the policies decide on the next period."""
-        idle = [k for k in range(len(self.units)) if not self.episodes.running[k]]
-        fresh = idle[: len(self.missing)]
-        for k in fresh:
-            unit = self.units[k] = self.missing.popleft()
-            self.profile[k] = []
-            self._players.begin(k, self.plan.policies[unit[0]])
+        idle = np.flatnonzero(~self.episodes.running).tolist()
+        fresh = {k: self.missing.popleft() for k in idle[: len(self.missing)]}
         if fresh:
-            self._begin(fresh)
+            for k, unit in fresh.items():
+                self.units[k], self.profile[k] = unit, []
+                self._players.begin(k, self.plan.policies[unit[0]])
+            options = {k: {"context": self.plan.contexts[context]} for k, (_, context, _) in fresh.items()}
+            rngs = {k: np.random.default_rng([seed, context]) for k, (_, context, seed) in fresh.items()}
+            self._observation, started = self.episodes.reset(list(fresh), rngs, options)
+            if self.plan.probes == "random":
+                self._probes |= {k: {name: started[k]["probe"][name] for name in RANGES} for k in fresh}
         self.active = self.episodes.running.copy()
         self.actions = self._players.act(self._observation, self.active, self.episodes)
         self.decided = True
 
-    def advance(self) -> Iterator[Ended]:
-        """Play the period that was decided on; gives the episodes that end with it."""
-        direction = self.episodes.passes.way.copy()
+    def advance(self) -> Iterator[str]:
+        """Play the period that was decided on; gives the lines of the journal of the episodes that end with it."""
+        direction = self.episodes.direction.copy()
         step = self.last = self.episodes.step(self.actions, self.active)
         self.decided = False
         self._observation = step.observation
@@ -323,7 +290,11 @@ class Playing:
             if direction[k] > 0.0:
                 self.profile[k].append(tuple(float(info.get(name, np.nan)) for name in COLUMNS))
             if "episode_kpis" in info:
-                yield Ended(self.unit(k), info["episode_kpis"], self.profile[k], self._probes[k])
+                unit, metres = self.unit(k), per_metre(self.profile[k])
+                profile = {name: [float(f"{v:.5g}") for v in values] for name, values in metres.items()}
+                record = {"key": self.plan.key(unit), "unit": unit, "commit": commit(), "kpis": info["episode_kpis"]}
+                probe = {"probe": self._probes[k]} if k in self._probes else {}
+                yield json.dumps(record | {"profile": profile} | probe) + "\n"
 
     def observed(self, k: int) -> npt.NDArray[np.float32]:
         """(1, d) observation on which the policy of a lane decides next."""
@@ -334,12 +305,3 @@ class Playing:
         unit = self.units[k]
         assert unit is not None
         return unit
-
-    def _begin(self, fresh: list[int]) -> None:
-        units = {k: self.unit(k) for k in fresh}
-        options = {k: {"context": self.plan.contexts[context]} for k, (_, context, _) in units.items()}
-        rngs = {k: np.random.default_rng([seed, context]) for k, (_, context, seed) in units.items()}
-        self._observation, started = self.episodes.reset(fresh, rngs, options)
-        if self.plan.probes == "random":
-            for k in fresh:
-                self._probes[k] = {name: started[k]["probe"][name] for name in RANGES}

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, replace
-from typing import Any, Final
+from dataclasses import replace
+from typing import Any, Final, NamedTuple
 from urllib.parse import quote
 
 import numpy as np
@@ -47,8 +47,10 @@ def traces(
     )
     means = binned.groupby(["policy", "context", "metre"], as_index=False)[list(FIELDS)].mean()
     means["radial_rms_m"] **= 0.5
-    episodes = {case: rows.set_index("metre") for case, rows in means.groupby(["policy", "context"])}
     grid = sorted(map(float, binned["metre"].unique()))
+    columns = {
+        case: _scaled(rows.set_index("metre").reindex(grid)) for case, rows in means.groupby(["policy", "context"])
+    }
     tubes: list[dict[Any, Any]] = table.drop_duplicates("context").sort_values("context").to_dict("records")
     worst = table.loc[table.groupby("policy")["reward"].idxmin()].set_index("policy")["context"].to_dict()
     palette = [to_hex(colour) for colour in colours()]
@@ -66,23 +68,19 @@ def traces(
                 "colour": palette[order.index(policy) % len(palette)],
                 "shown": policy in shown,
                 "worst": worst[policy],
-                "tubes": [_columns(episodes.get((policy, tube["context"])), grid) for tube in tubes],
+                "tubes": [columns.get((policy, tube["context"]), []) for tube in tubes],
             }
             for policy in ranking(table)
         ],
     }
 
 
-def _columns(episode: pd.DataFrame | None, grid: list[float]) -> list[list[int | None]]:
-    if episode is None:
-        return []
-    rows = episode.reindex(grid)
+def _scaled(rows: pd.DataFrame) -> list[list[int | None]]:
     scaled = (rows[name].to_numpy(dtype=float) * factor for name, factor in FIELDS.items())
     return [[round(v) if np.isfinite(v) else None for v in values.tolist()] for values in scaled]
 
 
-@dataclass(frozen=True)
-class Download:
+class Download(NamedTuple):
     """A file within the page: policy, note, file name, and its content as an address."""
 
     policy: str
@@ -105,7 +103,8 @@ def downloads(
         profile: of them.
         returns: whether the task has both passes.
     """
-    offered, none = [], []
+    offered: list[Download] = []
+    none: list[str] = []
     for policy in ranking(table):
         described = policies.get(policy, {})
         back = described.get("back")

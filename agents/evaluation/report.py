@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import base64
 import tempfile
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
+from functools import partial
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -33,7 +34,7 @@ from agents.evaluation.statistics import (
 )
 from agents.policies.fixed import Replayed, Scheduled
 from agents.policies.on_map import Privileged
-from agents.policies.planner import InspectionPlanner, Planner
+from agents.policies.planner import InsertionPlanner, InspectionPlanner
 from agents.records.atomic import write_atomically
 from agents.records.drawing import MM
 from probe_env.envs.task import FAILURES, Measure, TaskConfig
@@ -53,8 +54,8 @@ TUBE: Final = {
     "drag factor": ("drag_factor", 1.0, 2, ""),
 }
 """Header -> column of a tube, factor, digits and unit."""
-ORACLES: Final = frozenset(kind.__name__ for kind in (Privileged, Planner, InspectionPlanner))
-"""Policies that are given the true tube, which a rig cannot measure."""
+ORACLES: Final = frozenset(["Planner", *(kind.__name__ for kind in (Privileged, InsertionPlanner, InspectionPlanner))])
+"""Policies that are given the true tube, which a rig cannot measure; "Planner" in results before version 0.1.0."""
 SCHEDULES: Final = (Scheduled.__name__, Replayed.__name__)
 FEW_TUBES: Final = 10
 """Number of tubes below which a bootstrap interval is rough."""
@@ -79,7 +80,7 @@ def write_report(folder: Path) -> Path:
     environment.policies["json.dumps_kwargs"] = {"separators": (",", ":")}
     environment.globals["part"] = lambda name: Markup(_read(name))
     page = environment.from_string(_read("report.html"))
-    write_atomically(folder / "report.html", page.render(**_content(done, summary), pictures=_pictures(done, summary)))
+    write_atomically(folder / "report.html", page.render(**_content(done, summary)))
     return folder / "report.html"
 
 
@@ -92,27 +93,23 @@ def _content(done: Evaluation, summary: pd.DataFrame) -> dict[str, Any]:
     described = descriptions(done)
     kinds = {name: deciding(given).get("policy") for name, given in described.items()}
     verdicts = [verdict(table, policy, oracles, limit_of(task)) for policy in done.own or (done.against,)]
-    offered, without = downloads(described, table, done.profile, task.returns)
     best = [name for name in order if name not in oracles]
     drawn = list(dict.fromkeys([*(v.policy for v in verdicts), *best[:2], done.against, *best]))[:DRAWN_AT_FIRST]
     return {
         "title": "Feed policies compared",
+        "done": done,
         "verdicts": verdicts,
         "own": {name: f"Your {'schedule' if kinds.get(name) in SCHEDULES else 'policy'}" for name in done.own},
-        "missing": done.missing,
         "facts": _facts(done),
         "ranked": ranked(table, summary, done.own, oracles),
-        "told": sorted(oracles & set(order), key=order.index),
+        "oracles": [name for name in order if name in oracles],
         "strained": strained(table),
-        "against": done.against,
         "sentences": sentences(table, done.against),
         "by_diameter": by_diameter(table, oracles),
         "by_tube": by_tube(table, oracles),
-        "downloads": offered,
-        "without": without,
+        "downloads": downloads(described, table, done.profile, task.returns),
         "traces": traces(table, done.profile, drawn, _limit_mm(task)),
-        "record": done.record,
-        "fidelity": done.setting.fidelity,
+        "pictures": _pictures(done, summary),
     }
 
 
@@ -134,10 +131,12 @@ def _facts(done: Evaluation) -> dict[str, str]:
     )
     presets = PRESETS | BOTH_WAYS if task.returns else PRESETS
     stored, measure = done.setting.fidelity, MEASURES[task.vibration_measure][0]
+    policies = table["policy"].nunique()
     return {
         **({"passes": f"in and back; counted is {SCORED_PASSES[task.inspects]}"} if task.returns else {}),
         "limit": f"{measure} of {limit_of(task)} at the sensor, {task.period:g} s at a time",
-        "insertions": f"{len(table)}, of {table['policy'].nunique()} policies in the same {len(tubes)} tubes",
+        "insertions": f"{len(table)}, of {policies} {'policies' if policies > 1 else 'policy'} in"
+        f" {f'the same {len(tubes)} tubes' if len(tubes) > 1 else '1 tube'}",
         "tubes": "; ".join(ranges),
         "probe": "a random one for every tube and seed" if done.setting.probes == "random" else built,
         "simulated with": next((name for name, v in presets.items() if v.model_dump() == stored), str(stored)),
@@ -145,27 +144,26 @@ def _facts(done: Evaluation) -> dict[str, str]:
 
 
 def _pictures(done: Evaluation, summary: pd.DataFrame) -> list[tuple[str, str, str]]:
-    with tempfile.TemporaryDirectory() as scratch:
-        folder = Path(scratch)
-        drawn = [
-            (
-                "Time against vibration",
-                "Mean over the tubes of each policy with 95 % intervals. Down and left is better.",
-                figures.trade_off(summary, folder / "trade-off.png"),
-            ),
-            (
-                "Mean over the tubes",
-                "Feed speed, air supply and radial rms over the inserted length; thin lines: 90th percentile.",
-                figures.policy_profiles(done.profile, folder / "profiles.png", _limit_mm(done.setting.task)),
-            ),
-        ]
+    """Title, caption and base64 of every figure."""
+    tubes, limit, drawn = done.table["context"].nunique(), _limit_mm(done.setting.task), []
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "figure.png")
+
+        def draw(title: str, caption: str, function: Callable[..., Path], *data: Any) -> None:
+            drawn.append((title, caption, base64.b64encode(function(*data, path).read_bytes()).decode()))
+
+        intervals, confidence = (" with 95 % intervals", ", 95 % bands over the tubes") if tubes > 1 else ("", "")
+        caption = f"Mean over the tubes of each policy{intervals}. Down and left is better."
+        draw("Time against vibration", caption, figures.trade_off, summary)
+        caption = "Feed speed, air supply and radial rms over the inserted length; thin lines: 90th percentile."
+        draw("Mean over the tubes", caption, partial(figures.policy_profiles, limit_mm=limit), done.profile)
         if has_curves(done.table):
             caption = (
-                "Probability of detection over the depth of a flaw, mean over the tubes, 95 % bands over the tubes."
+                f"Probability of detection over the depth of a flaw, mean over the tubes{confidence}."
                 " Depths are relative to the two anchors of the sensor model."
             )
-            drawn.append(("What is found", caption, figures.curves(bands(done.table), folder / "pod.png")))
-        return [(name, text, base64.b64encode(path.read_bytes()).decode()) for name, text, path in drawn]
+            draw("What is found", caption, figures.curves, bands(done.table))
+    return drawn
 
 
 def descriptions(done: Evaluation) -> dict[str, Description]:
@@ -223,11 +221,11 @@ def verdict(table: pd.DataFrame, policy: str, informed: Collection[str], limit: 
         f" time {longer}, length within {limit} {more}{failed}."
     )
     other_time, other_share = _time_and_share(table, other)
-    rough = ", too few for exact intervals" if 1 < tubes < FEW_TUBES else ", which says nothing about scatter"
-    detail = (
-        f"{time} against {other_time}; {share} of the length within {limit} against {other_share}. Paired differences"
-        f" with 95 % bootstrap intervals {over}{rough if tubes < FEW_TUBES else ''}."
-    )
+    basis = f"Differences {over}, which says nothing about scatter"
+    if tubes > 1:
+        few = ", too few for exact intervals" if tubes < FEW_TUBES else ""
+        basis = f"Paired differences with 95 % bootstrap intervals {over}{few}"
+    detail = f"{time} against {other_time}; {share} of the length within {limit} against {other_share}. {basis}."
     return Verdict(policy, headline, detail)
 
 
@@ -244,7 +242,7 @@ def _signed(difference: Interval, factor: float = 1.0, unit: str = "") -> str:
 
 
 def _not_complete(table: pd.DataFrame, policy: str, name: str = "it") -> str:
-    row = _endings(table)[policy]
+    row = dict(endings(table).iterrows())[policy]
     missing = row["episodes"] - row["complete"]
     return f"; {name} did not complete {missing} of {row['episodes']} insertions" if missing else ""
 
@@ -272,7 +270,7 @@ Table = tuple[list[str], list[Row]]
 def ranked(table: pd.DataFrame, summary: pd.DataFrame, own: Collection[str], informed: Collection[str]) -> Table:
     """A row for each policy, best first: every KPI with its interval, the reward against the best, how it ended."""
     values: dict[tuple[str, str], dict[Any, Any]] = {(r["policy"], r["kpi"]): r for r in summary.to_dict("records")}
-    rows, ends, order = [], _endings(table), ranking(table)
+    rows, ends, order = [], dict(endings(table).iterrows()), ranking(table)
     best = next((name for name in order if name not in informed), order[0])
     for policy in order:
         cells = []
@@ -296,11 +294,6 @@ def ranked(table: pd.DataFrame, summary: pd.DataFrame, own: Collection[str], inf
 
 def _with_ends(mean: float, low: float, high: float, sign: str = "") -> Cell:
     return Cell(short(mean, sign), f"{short(low, sign)} to {short(high, sign)}" if low < high else "")
-
-
-def _endings(table: pd.DataFrame) -> dict[str, dict[str, int]]:
-    rows = endings(table).iterrows()
-    return {str(policy): {str(name): int(count) for name, count in row.items()} for policy, row in rows}
 
 
 def ended(row: Mapping[str, int] | pd.Series) -> str:
@@ -328,19 +321,17 @@ def by_tube(table: pd.DataFrame, informed: Collection[str]) -> Table:
     known = TUBE if (table["helix_diameter"] > 0.0).all() else {}
     for number, part in table.groupby("context"):
         cells = [Cell(f"{part[name].iloc[0] * factor:.{digits}f}") for name, factor, digits, _ in known.values()]
-        judged = _best_marked(part, informed)
-        rows.append(Row(f"{number}", "", (*cells, *(judged[policy] for policy in order))))
+        column = _best_marked(part, informed)
+        rows.append(Row(f"{number}", "", (*cells, *(column[policy] for policy in order))))
     return ["tube", *known, *order], rows
 
 
 def _best_marked(part: pd.DataFrame, informed: Collection[str]) -> dict[str, Cell]:
-    order, ends = ranking(part), _endings(part)
+    cells, ends, order = {}, dict(endings(part).iterrows()), ranking(part)
     best = next((name for name in order if name not in informed), "")
-    cells = {}
     for policy in order:
         time, share = _time_and_share(part, policy)
-        count = ends[policy]["episodes"]
-        failed = count - ends[policy]["complete"]
-        stopped = f", {f'{failed} ' if count > 1 else ''}not complete" if failed else ""
-        cells[policy] = Cell(time, share + stopped, policy == best)
+        count, complete = ends[policy]["episodes"], ends[policy]["complete"]
+        failed = f", {f'{count - complete} ' if count > 1 else ''}not complete" if complete < count else ""
+        cells[policy] = Cell(time, share + failed, policy == best)
     return cells

@@ -26,15 +26,15 @@ from agents.evaluation.statistics import (
     summarise,
 )
 from agents.evaluation.workers import HERE, Workers
+from agents.policies.cases import EvaluationCase, load_case
 from agents.policies.catalogue import domains_of, named_policies, own_policies
-from agents.policies.places import Place, load_case
 from agents.policies.policy import check_domains
-from agents.policies.wrappers import BothWays, fidelity_of
+from agents.policies.wrappers import BothWays
 from agents.records.manifest import write_json
 from agents.terminal.tables import print_table
 from probe_env.envs.contexts import Split
-from probe_env.envs.episodes.starts import Probes, Starts, settling
-from probe_env.envs.surrogate import make_episodes
+from probe_env.envs.episodes.starts import EpisodeSampler, Probes, settling
+from probe_env.envs.surrogate import check_tubes
 from probe_env.fidelity import Fidelity, resolve_fidelity
 from probe_env.settings import explain
 
@@ -77,8 +77,6 @@ def evaluate(
         FileNotFoundError: no such file.
     """
     case = load_case(tube, contexts, limit, passes, inspects)
-    if case.config.returns and isinstance(fidelity, str):
-        fidelity = fidelity_of(fidelity)
     plan = plan_of(policies, case, seeds, fidelity, probes, strict)
     if output is None:
         return run_plan(plan, None, workers=workers)
@@ -87,7 +85,7 @@ def evaluate(
 
 def plan_of(
     specs: Sequence[str],
-    place: Place,
+    case: EvaluationCase,
     seeds: int,
     fidelity: str | Fidelity,
     probes: Probes = "scene",
@@ -100,22 +98,20 @@ def plan_of(
     """
     if not 1 <= seeds <= 1000:
         raise ValueError(f"seeds = {seeds!r} is outside the accepted range 1 to 1000")
-    config = place.config.all_shown
-    policies = named_policies(specs, config, place.vibration, classes=True)
+    config = case.config.full_observation
+    policies = named_policies(specs, config, case.vibration, classes=True)
     forth = {name: policy.forth if isinstance(policy, BothWays) else policy for name, policy in policies.items()}
-    check_domains(domains_of(specs, forth), config, place.contexts, strict)
-    hardest = Starts(config, place.contexts, probes, *settling(config, {})).stiffest
+    check_domains(domains_of(specs, forth), config, case.contexts, strict)
+    hardest = EpisodeSampler(config, case.contexts, probes, *settling(config, {})).stiffest
     chosen = resolve_fidelity(fidelity, hardest, config.growing, config.returns)
-    plan = Plan(policies, place.contexts, range(seeds), config, chosen, probes, place.vibration)
+    plan = Plan(policies, case.contexts, range(seeds), config, chosen, probes, case.vibration)
     if plan.probes == "random":  # which are drawn as episodes begin
         return plan
     try:
-        episodes = make_episodes(1, plan.config, threads=1, fidelity=plan.fidelity, surrogate_map=plan.vibration)
-        for context in plan.contexts:
-            episodes.check_tube(context)
+        check_tubes(plan.config, plan.contexts, plan.fidelity, plan.vibration)
     except ValueError as error:
         raise ValueError(
-            f"{place.tube.name}: {explain(error) if isinstance(error, ValidationError) else error}"
+            f"{case.tube.name}: {explain(error) if isinstance(error, ValidationError) else error}"
         ) from error
     return plan
 
@@ -189,7 +185,8 @@ def print_summary(table: pd.DataFrame, against: str) -> None:
             cells.append(Interval(mean, low, high).text(factor) if low < high else short(mean * factor))
         rows.append(cells)
     header = ("policy", *(f"{name} [{unit}]" if unit else name for name, _, unit in shown.values()))
-    print_table("Means with 95 % intervals over the contexts", header, rows)
+    title = "Means with 95 % intervals over the contexts" if table["context"].nunique() > 1 else "Means in one tube"
+    print_table(title, header, rows)
     for name, row in endings(table).iterrows():
         print(f"{name}: {row['complete']} of {row['episodes']} complete, {', '.join(in_words(row))}")
     for line in (*strained(table), *sentences(table, against)):

@@ -2,28 +2,37 @@
 
 from __future__ import annotations
 
+import itertools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 from scipy.stats import spearmanr
+from tqdm import tqdm
 
 from agents.evaluation import figures, statistics
 from agents.evaluation.folder import read_episodes
-from agents.evaluation.recording import Chart, Insertion, insert
-from agents.evaluation.statistics import grouped
+from agents.policies.cases import EvaluationCase
 from agents.policies.catalogue import make_policy
-from agents.policies.places import Place
+from agents.policies.policy import Policy
 from agents.records.atomic import write_atomically
+from agents.records.drawing import BLUE, GREY, GRID, MM, RED, plain, save
 from agents.records.manifest import write_json, write_manifest
 from agents.terminal.tables import print_table
-from probe_env.envs.task import TaskConfig
+from probe_env import Context, Fidelity
+from probe_env.arrays import FloatArray
+from probe_env.envs.episodes import Episodes
+from probe_env.envs.task import END_TOLERANCE, TaskConfig
+from probe_env.envs.trials import periods_of
 from probe_env.fidelity import resolve_fidelity
 from probe_env.inspection.channels import (
     Flaw,
+    Passage,
     along,
     calls,
     channels,
@@ -33,58 +42,82 @@ from probe_env.inspection.channels import (
     support_signal,
 )
 from probe_env.inspection.detection import snr_at
-from probe_env.inspection.sensor import GROOVE
+from probe_env.inspection.sensor import GROOVE, Sensor
+from probe_env.inspection.snr import SPAN, SnrEstimator
+from probe_env.physics.simulation.signals import SAMPLE_PERIOD
 from probe_env.settings import within
 
+STRETCH: Final = round(0.25 * SPAN / SAMPLE_PERIOD)
+"""Samples that the filter weighs by one spectrum: as many as a tally counts of every second."""
 SPACING: Final = 1.0
 """Distance of the supports [m] by default; an assumption."""
 DRAWN: Final = 6
 """Greatest number of flaws in flaws.png."""
+AROUND: Final = 0.025
+"""Half the width of a flaw's figure [m]."""
 ROWS: Final = ("place_m", "depth_percent_wall", "snr", "behind_filter", "called")
 
 
-def flaws_of(texts: Sequence[str], length: float) -> tuple[Flaw, ...]:
-    """Flaws written as PLACE:DEPTH, metres and % of the wall; none: 20 % every 5 m.
+@dataclass(frozen=True)
+class Insertion:
+    """Samples and control periods of an insertion.
 
-    Raises:
-        ValueError: not so written, or out of range.
+    Attributes:
+        passage: time, position, feed and motion of every sample.
+        periods: info of every control period, SI units.
+        detection: detection figures by name of the inspected length, see ``inspection.metrics``.
     """
-    if not texts:
-        return tuple(Flaw(float(place), GROOVE) for place in np.arange(5.0, length, 5.0))
-    flaws = []
-    for text in texts:
-        place, _, depth = text.partition(":")
-        try:
-            flaw = Flaw(float(place), float(depth) / 100.0)
-        except ValueError:
-            raise ValueError(f"flaws: {text!r} is not PLACE:DEPTH, metres and % of the wall, such as 30:20") from None
-        within(f"flaws: place of {text!r}", flaw.place, 0.0, length, "m")
-        within(f"flaws: depth of {text!r}", 100.0 * flaw.depth, 0.1, 100.0, "%")
-        flaws.append(flaw)
-    return tuple(sorted(flaws, key=lambda flaw: flaw.place))
+
+    passage: Passage
+    periods: tuple[dict[str, Any], ...]
+    detection: dict[str, float]
 
 
 @dataclass(frozen=True)
-class Look:
-    """What is recorded.
+class Chart:
+    """The signals of an insertion.
 
     Attributes:
-        context: number of the tube in the list.
-        flaws: PLACE:DEPTH each, see ``flaws_of``.
+        voltages: (k, 2) X and Y [V].
+        values: (k,) filtered signal along the flaw, over the deviation of its noise.
+        flaws: that the sensor passed.
+        supports: positions [m].
+        called: positions of calls [m].
+        table: a row for each flaw: position, depth, S/N, filtered signal, whether it was called.
+    """
+
+    voltages: FloatArray
+    values: FloatArray
+    flaws: tuple[Flaw, ...]
+    supports: FloatArray
+    called: FloatArray
+    table: pd.DataFrame
+
+
+def run_signal(
+    spec: str,
+    case: EvaluationCase,
+    fidelity: str,
+    output: Path,
+    *,
+    context: int = 0,
+    flaws: Sequence[str] = (),
+    support_spacing: float | None = None,
+    until: float | None = None,
+    seed: int = 0,
+) -> pd.DataFrame:
+    """Simulate an insertion; prints its flaws, writes channels, flaws and periods.csv, signal.json and two figures.
+
+    Args:
+        spec: of the policy, see ``catalogue.make_policy``.
+        case: task, tubes and map.
+        fidelity: preset without time-lapse.
+        output: folder of the files.
+        context: index of the tube in the list.
+        flaws: POSITION:DEPTH each, see ``flaws_of``.
         support_spacing: distance of the supports [m]; None: ``SPACING``.
         until: inserted length at which to stop [m]; None: the end of the helix.
         seed: of sensor noise, start and electronic noise.
-    """
-
-    context: int = 0
-    flaws: Sequence[str] = ()
-    support_spacing: float | None = None
-    until: float | None = None
-    seed: int = 0
-
-
-def run_signal(spec: str, place: Place, fidelity: str, look: Look, output: Path) -> pd.DataFrame:
-    """Simulate an insertion; prints its flaws, writes channels, flaws and periods.csv, signal.json and two figures.
 
     Returns:
         a row for each flaw that the sensor passed.
@@ -93,36 +126,128 @@ def run_signal(spec: str, place: Place, fidelity: str, look: Look, output: Path)
         ValueError: an argument is not valid; nothing was written.
         RuntimeError: the simulation diverged; nothing was written.
     """
-    config = place.config.all_shown
-    spacing = SPACING if look.support_spacing is None else look.support_spacing
-    within("context", look.context, 0, len(place.contexts) - 1, "")
+    config, spacing = case.config.full_observation, SPACING if support_spacing is None else support_spacing
+    within("context", context, 0, len(case.contexts) - 1, "")
     within("support_spacing", spacing, 0.05, 100.0, "m")
-    flaws = flaws_of(look.flaws, config.scene.tube.helix_length)
-    policy = make_policy(spec, config, place.vibration, classes=True)
-    settings = resolve_fidelity(fidelity, config.scene)
-    run = insert(policy, config, place.contexts[look.context], settings, look.seed, look.until)
-    chart = chart_of(run, config, flaws, spacing, np.random.default_rng([look.seed, look.context]))
-    _write(run, chart, f"{spec}, tube {look.context}, {fidelity}", output)
-    record = {
-        "sensor": config.sensor.model_dump(), "threshold": chart.threshold, "false_calls": chart.false_calls,
-        "noise_and_vibration_correlation": correlation(run, chart), "found": run.detection,
-    }  # fmt: skip
-    write_json(output / "signal.json", record)
-    files = ("channels.csv", "flaws.csv", "periods.csv", "signal.json")
-    write_manifest(output, files, seeds=(look.seed,))
+    put = flaws_of(flaws, config.scene.tube.helix_length)
+    policy = make_policy(spec, config, case.vibration, classes=True)
+    run = insert(policy, config, case.contexts[context], resolve_fidelity(fidelity, config.scene), seed, until)
+    chart = chart_of(run, config, put, spacing, np.random.default_rng([seed, context]))
+    _write(run, chart, config.sensor, f"{spec}, tube {context}, {fidelity}", output, seed)
     first, last = run.passage.place[[0, -1]]
-    for flaw in flaws:
+    for flaw in put:
         if flaw not in chart.flaws:
             print(f"not passed: the flaw at {flaw.place:g} m; the sensor was from {first:.2f} to {last:.2f} m")
     header = ("flaw at [m]", "depth [% wall]", "S/N", "behind the filter", "called")
     rows = [
-        (f"{place_:g}", f"{depth:g}", f"{snr:.1f}", f"{behind:.1f}", "yes" if called else "no")
-        for place_, depth, snr, behind, called in chart.table[list(ROWS)].itertuples(index=False)
+        (f"{position:g}", f"{depth:g}", f"{snr:.1f}", f"{behind:.1f}", "yes" if called else "no")
+        for position, depth, snr, behind, called in chart.table[list(ROWS)].itertuples(index=False)
     ]
     print_table("Flaws that were put into the tube", header, rows, left=0)
     print(f"called: {int(chart.table['called'].sum())} of the {len(chart.table)} flaws that were passed")
     print(f"written: {output}/ (strip.png, flaws.png, channels.csv, flaws.csv, periods.csv, signal.json)")
     return chart.table
+
+
+def flaws_of(texts: Sequence[str], length: float) -> tuple[Flaw, ...]:
+    """Flaws written as POSITION:DEPTH, metres and % of the wall; none: 20 % every 5 m.
+
+    Raises:
+        ValueError: not so written, or out of range.
+    """
+    if not texts:
+        return tuple(Flaw(float(position), GROOVE) for position in np.arange(5.0, length, 5.0))
+    flaws = []
+    for text in texts:
+        position, _, depth = text.partition(":")
+        try:
+            flaw = Flaw(float(position), float(depth) / 100.0)
+        except ValueError:
+            raise ValueError(
+                f"flaws: {text!r} is not POSITION:DEPTH, metres and % of the wall, such as 30:20"
+            ) from None
+        within(f"flaws: position of {text!r}", flaw.place, 0.0, length, "m")
+        within(f"flaws: depth of {text!r}", 100.0 * flaw.depth, 0.1, 100.0, "%")
+        flaws.append(flaw)
+    return tuple(sorted(flaws, key=lambda flaw: flaw.place))
+
+
+def insert(
+    policy: Policy, config: TaskConfig, context: Context, fidelity: Fidelity, seed: int, until: float | None = None
+) -> Insertion:
+    """Record an insertion under a policy until the episode ends or a length is inserted.
+
+    Args:
+        policy: that feeds the probe.
+        config: the task.
+        context: the tube.
+        fidelity: without time-lapse.
+        seed: of sensor noise and start.
+        until: inserted length at which to stop [m]; None: the end.
+
+    Raises:
+        ValueError: a length outside the helix, or a fidelity with time-lapse.
+        RuntimeError: the simulation diverged.
+    """
+    if fidelity.time_lapse != 1.0:
+        raise ValueError(
+            f"fidelity.time_lapse = {fidelity.time_lapse:g} leaves out metres that a chart shows: take standard,"
+            " reference or other settings with a time-lapse of 1"
+        )
+    length = config.scene.tube.helix_length
+    if until is not None:
+        within("until", until, 5.0, length, "m")
+    episodes = Episodes(1, config, threads=1, allow_standstill=True, fidelity=fidelity)
+    observation, started = episodes.reset([0], {0: np.random.default_rng(seed)}, {0: {"context": context}})
+    guide = episodes.batch.simulators[0].scene.probe.guide_length
+    positions, periods, radial = [started[0]["inserted_length"] - guide], list[dict[str, Any]](), []
+    with tqdm(desc="sensor at", initial=positions[0], unit="m", bar_format="{desc} {n:.1f} {unit} [{elapsed}]") as bar:
+        for step, _ in periods_of(episodes, [policy], observation):
+            info = step.infos[0]
+            if info["diverged"]:
+                raise RuntimeError(f"the simulation diverged at {info['inserted_length']:.4g} m: nothing is shown")
+            assert episodes.window is not None
+            assert episodes.window.radial is not None
+            radial.append(episodes.window.radial[:, 0])
+            bar.update(info["inserted_length"] - guide - positions[-1])
+            positions.append(info["inserted_length"] - guide)
+            periods.append(info)
+            if until is not None and info["inserted_length"] >= until - END_TOLERANCE:
+                break
+    tally = episodes.scorer.metrics[0]
+    each = len(radial[0])
+    share = np.arange(1, each + 1) / each
+    motion, feed = np.concatenate(radial), np.repeat([period["feed_speed"] for period in periods], each)
+    passage = Passage(
+        time=SAMPLE_PERIOD * np.arange(1, each * len(radial) + 1),
+        place=np.concatenate([begin + share * (end - begin) for begin, end in itertools.pairwise(positions)]),
+        feed=feed,
+        radial=motion,
+        spectrum=centred_spectra(config.sensor, motion, feed),
+        stretch=STRETCH,
+    )
+    return Insertion(passage, tuple(periods), tally.detection.kpis(tally.inspected, length))
+
+
+def centred_spectra(sensor: Sensor, radial: FloatArray, feed: FloatArray) -> FloatArray:
+    """(p, m) noise densities for the filter of each ``STRETCH``, of the second that has it in its middle.
+
+    So does an episode's tally. A filter that knows only the past would let a burst that sets in stand out.
+
+    Args:
+        sensor: its constants.
+        radial: (k,) motion [m].
+        feed: (k,) feed speed [m/s].
+    """
+    meter, spectra = SnrEstimator(sensor, 1, SAMPLE_PERIOD), []
+    # the first piece is half a stretch, so that each second ends half a stretch after a piece
+    ends = list(range(STRETCH // 2, len(radial) + 1, STRETCH)) or [len(radial)]
+    for begin, end in itertools.pairwise([0, *ends]):
+        meter.update(np.zeros(1, dtype=np.int64), radial[begin:end, None], feed[begin : begin + 1])
+        spectra.append(meter.filter_spectrum(0))
+    # of a second that ends half a stretch after the next one; the last ones have what there is
+    last = np.minimum(np.arange(math.ceil(len(radial) / STRETCH)) + 2, len(spectra) - 1)
+    return np.array(spectra)[last]
 
 
 def chart_of(
@@ -134,59 +259,114 @@ def chart_of(
     flaws = tuple(flaw for flaw in put if first < flaw.place < last)
     supports = support_places(spacing, last)
     voltages = channels(sensor, passage, tube.inner_diameter, flaws, supports, rng)
-    seen = along(sensor, voltages - support_signal(sensor, passage.place, supports)[:, None])
-    place, values = passage.place, filtered(sensor, passage, seen)
-    z = run.detection["call_threshold"]
-    called = calls(values, place, z, sensor.flaw_width)
+    signal = along(sensor, voltages - support_signal(sensor, passage.place, supports)[:, None])
+    values, threshold = filtered(sensor, passage, signal), run.detection["call_threshold"]
     ends = np.array([period["inserted_length"] for period in run.periods])
     ends += passage.place[-1] - ends[-1]
     rows = []
     for flaw in flaws:
-        near = np.abs(place - flaw.place) < 0.5 * sensor.flaw_width
+        near = np.abs(passage.place - flaw.place) < 0.5 * sensor.flaw_width
         groove = run.periods[int(np.searchsorted(ends, flaw.place).clip(0, len(ends) - 1))]["snr"]
-        shown = float(values[near].max()) if near.any() else 0.0
+        peak = float(values[near].max()) if near.any() else 0.0
         snr = float(snr_at(sensor, np.array([groove]), np.array([flaw.depth]))[0, 0])
-        rows.append((flaw.place, 100.0 * flaw.depth, snr, shown, shown > z))
-    false = sum(all(abs(call - flaw.place) > sensor.flaw_width for flaw in flaws) for call in called)
-    table = pd.DataFrame(rows, columns=list(ROWS))
-    return Chart(voltages, values, flaws, supports, called, z, table, false)
+        rows.append((flaw.place, 100.0 * flaw.depth, snr, peak, peak > threshold))
+    called = calls(values, passage.place, threshold, sensor.flaw_width)
+    return Chart(voltages, values, flaws, supports, called, pd.DataFrame(rows, columns=list(ROWS)))
 
 
-def _write(run: Insertion, chart: Chart, title: str, output: Path) -> None:
-    output.mkdir(parents=True, exist_ok=True)
-    passage = run.passage
-    columns = {
-        "time_s": passage.time, "place_m": passage.place, "feed_speed_m_per_s": passage.feed,
-        "x_v": chart.voltages[:, 0], "y_v": chart.voltages[:, 1],
-    }  # fmt: skip
-    write_atomically(output / "channels.csv", pd.DataFrame(columns).to_csv(index=False, float_format="%.6g"))
-    write_atomically(output / "flaws.csv", chart.table.to_csv(index=False, float_format="%.5g"))
-    write_atomically(output / "periods.csv", by_period(run, chart).to_csv(index=False, float_format="%.5g"))
-    figures.strip_chart(run, chart, title, output / "strip.png")
-    if chart.flaws:
-        kept = np.unique(np.linspace(0, len(chart.flaws) - 1, DRAWN).astype(int))
-        figures.grooves(run, chart.voltages, [chart.flaws[k] for k in kept], output / "flaws.png")
+def by_period(run: Insertion, voltages: FloatArray) -> pd.DataFrame:
+    """A row for each control period: position of the sensor at its end, deviation of X and Y, vibration, S/N."""
+    each = len(run.passage.radial) // len(run.periods)
+    deviation = smoothed(run.passage, voltages)[: len(run.periods) * each].reshape(-1, each, 2).std(axis=1)
+    return pd.DataFrame(
+        {
+            "place_m": run.passage.place[each - 1 :: each],
+            "x_deviation_v": deviation[:, 0],
+            "y_deviation_v": deviation[:, 1],
+            **{name: [period[name] for period in run.periods] for name in ("radial_rms_m", "snr")},
+        }
+    )
 
 
-def correlation(run: Insertion, chart: Chart) -> float:
+def correlation(periods: pd.DataFrame) -> float:
     """Spearman correlation of the deviation of X with the radial rms by control period; NaN if one is constant."""
-    table = by_period(run, chart)
-    noise, vibration = table["x_deviation_v"], table["radial_rms_m"]
+    noise, vibration = periods["x_deviation_v"], periods["radial_rms_m"]
     if min(np.ptp(noise), np.ptp(vibration)) == 0.0 or len(noise) < 3:
         return float("nan")
     return float(spearmanr(noise, vibration).statistic)
 
 
-def by_period(run: Insertion, chart: Chart) -> pd.DataFrame:
-    """A row for each control period: position of the sensor at its end, deviation of X and Y, vibration, S/N."""
-    each = run.period
-    shown = smoothed(run.passage, chart.voltages)[: len(run.periods) * each].reshape(-1, each, 2).std(axis=1)
-    return pd.DataFrame(
-        {
-            "place_m": run.passage.place[each - 1 :: each], "x_deviation_v": shown[:, 0], "y_deviation_v": shown[:, 1],
-            **{name: [period[name] for period in run.periods] for name in ("radial_rms_m", "snr")},
-        }
+def _write(run: Insertion, chart: Chart, sensor: Sensor, title: str, output: Path, seed: int) -> None:
+    output.mkdir(parents=True, exist_ok=True)
+    passage, periods = run.passage, by_period(run, chart.voltages)
+    samples = pd.DataFrame(
+        {"time_s": passage.time, "place_m": passage.place, "feed_speed_m_per_s": passage.feed,
+         "x_v": chart.voltages[:, 0], "y_v": chart.voltages[:, 1]}
     )  # fmt: skip
+    tables = {"channels.csv": (samples, "%.6g"), "flaws.csv": (chart.table, "%.5g"), "periods.csv": (periods, "%.5g")}
+    for name, (table, digits) in tables.items():
+        write_atomically(output / name, table.to_csv(index=False, float_format=digits))
+    record = {
+        "sensor": sensor.model_dump(),
+        "threshold": run.detection["call_threshold"],
+        "false_calls": sum(all(abs(c - f.place) > sensor.flaw_width for f in chart.flaws) for c in chart.called),
+        "noise_and_vibration_correlation": correlation(periods),
+        "found": run.detection,
+    }
+    write_json(output / "signal.json", record)
+    _draw_strip(run, chart, periods, title, output / "strip.png")
+    if chart.flaws:
+        _draw_flaws(passage, chart, output / "flaws.png")
+    write_manifest(output, (*tables, "signal.json"), seeds=(seed,))
+
+
+def _draw_strip(run: Insertion, chart: Chart, periods: pd.DataFrame, title: str, path: Path) -> None:
+    """X and Y, the filtered signal with calls, and the vibration over the position of the sensor.
+
+    Supports are ticks at the top, flaws lines.
+    """
+    figure, axes = plt.subplots(4, 1, figsize=(12, 9), sharex=True, layout="constrained")
+    passage, threshold = run.passage, run.detection["call_threshold"]
+    for axis, values, name in zip(axes, smoothed(passage, chart.voltages).T, "XY", strict=False):
+        axis.plot(passage.place, values, color=BLUE, linewidth=0.4)
+        axis.set_ylabel(f"{name} [V]")
+    axes[2].plot(passage.place, chart.values, color="0.2", linewidth=0.4)
+    axes[2].axhline(threshold, color=RED, linewidth=0.8)
+    axes[2].plot(chart.called, np.full(len(chart.called), threshold), "v", color=RED, markersize=6)
+    axes[2].set_ylabel("behind the filter\n[deviations of its noise]")
+    axes[3].plot(periods["place_m"], MM * periods["radial_rms_m"], color=GREY, label="radial rms [mm]")
+    axes[3].plot(periods["place_m"], 0.1 * periods["snr"], color=BLUE, label="S/N of a 20 % groove / 10")
+    axes[3].set(xlabel="sensor from the entrance of the helix [m]", ylim=(0.0, None))
+    axes[3].legend(frameon=False, ncols=2, loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.1)
+    for axis in axes:
+        axis.grid(**GRID)
+        for position in chart.supports:
+            axis.axvline(position, ymin=0.95, color=GREY, linewidth=0.8)
+        for flaw in chart.flaws:
+            axis.axvline(flaw.place, color=RED, linewidth=0.6, linestyle=":")
+    figure.suptitle(plain(title))
+    save(figure, path)
+
+
+def _draw_flaws(passage: Passage, chart: Chart, path: Path) -> None:
+    """X and Y over time and as a Lissajous figure while the sensor passes each flaw, or ``DRAWN`` of them."""
+    chosen = np.unique(np.linspace(0, len(chart.flaws) - 1, DRAWN).astype(int))
+    size = (9, 3.2 * len(chosen))
+    figure, axes = plt.subplots(len(chosen), 2, figsize=size, layout="constrained", squeeze=False)
+    voltages = smoothed(passage, chart.voltages)
+    for (left, right), k in zip(axes, chosen, strict=True):
+        flaw = chart.flaws[k]
+        near = np.abs(passage.place - flaw.place) < AROUND
+        time = passage.time[near] - (passage.time[near].mean() if near.any() else 0.0)
+        for values, name, colour in zip(voltages[near].T, "XY", (BLUE, RED), strict=True):
+            left.plot(time, values, color=colour, linewidth=1.0, label=name)
+        right.plot(voltages[near, 0], voltages[near, 1], color="0.2", linewidth=1.0)
+        left.set(xlabel="time [s]", ylabel="[V]", title=f"{100.0 * flaw.depth:g} % at {flaw.place:g} m")
+        right.set(xlabel="X [V]", ylabel="Y [V]", aspect="equal", adjustable="datalim")
+        left.legend(frameon=False, ncols=2)
+        for axis in (left, right):
+            axis.grid(**GRID)
+    save(figure, path)
 
 
 def draw_curves(evaluation: Path, output: Path) -> None:
@@ -196,7 +376,7 @@ def draw_curves(evaluation: Path, output: Path) -> None:
         FileNotFoundError: there is no such evaluation.
         ValueError: its episodes have no detection curves.
     """
-    table = grouped(read_episodes(evaluation / "episodes.parquet"))
+    table = statistics.grouped(read_episodes(evaluation / "episodes.parquet"))
     if not statistics.has_curves(table):
         raise ValueError(f"{evaluation}: its episodes have no curves of detection: run the evaluation again")
     curves = statistics.bands(table)

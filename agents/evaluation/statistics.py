@@ -15,7 +15,7 @@ from agents.evaluation.kpis import HIGH, OVER_TUBES, kpis_of, label_of
 from probe_env.arrays import FloatArray
 from probe_env.envs.task import ENDINGS, FAILURES
 from probe_env.inspection.detection import DEPTHS, depths_found
-from probe_env.inspection.tally import POD_NAMES
+from probe_env.inspection.metrics import POD_NAMES
 
 CONFIDENCE: Final = 0.95
 PERCENTILES: Final = (50.0 * (1.0 - CONFIDENCE), 50.0 * (1.0 + CONFIDENCE))
@@ -91,11 +91,11 @@ def ratio_interval(values: np.ndarray, reference: np.ndarray) -> Interval:
     ratio = float(values.mean() / reference.mean())
     if np.ptp(values) == 0.0 and np.ptp(reference) == 0.0:
         return Interval(ratio, ratio, ratio)
+    return Interval(ratio, *map(float, bootstrap_ends(_ratio_of_means, values, reference)))
 
-    def of_means(a: np.ndarray, b: np.ndarray, axis: int = -1) -> np.ndarray:
-        return np.asarray(a.mean(axis=axis) / b.mean(axis=axis))
 
-    return Interval(ratio, *map(float, bootstrap_ends(of_means, values, reference)))
+def _ratio_of_means(a: np.ndarray, b: np.ndarray, axis: int = -1) -> np.ndarray:
+    return np.asarray(a.mean(axis=axis) / b.mean(axis=axis))
 
 
 def mean_interval(values: np.ndarray) -> Interval:
@@ -166,14 +166,11 @@ def share_of_lead(table: pd.DataFrame, policy: str, best: str = BEST, bar: str =
     if not len(columns[0]) or any(not column.index.equals(columns[0].index) for column in columns):
         raise ValueError(f"{policy}, {best} and {bar} were not run on the same contexts: nothing to pair")
     values, most, least = (column.to_numpy() for column in columns)
-
-    def share(a: np.ndarray, b: np.ndarray, axis: int = -1) -> np.ndarray:
-        return np.asarray(a.mean(axis=axis) / b.mean(axis=axis))
-
-    estimate = float(share(values - least, most - least))
+    gains = values - least, most - least
+    share = float(_ratio_of_means(*gains))
     if len(values) < 2 or np.ptp(values - most) == 0.0 or np.ptp(values - least) == 0.0:
-        return Interval(estimate, estimate, estimate)
-    return Interval(estimate, *map(float, bootstrap_ends(share, values - least, most - least, paired=True)))
+        return Interval(share, share, share)
+    return Interval(share, *map(float, bootstrap_ends(_ratio_of_means, *gains, paired=True)))
 
 
 def summarise(table: pd.DataFrame) -> pd.DataFrame:

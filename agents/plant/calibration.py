@@ -14,7 +14,6 @@ from agents.plant.inference import (
     LIMIT,
     Case,
     Gain,
-    Likelihood,
     Posterior,
     Sliding,
     by_sliding,
@@ -50,11 +49,15 @@ class Calibration:
     """Result of a calibration."""
 
     prior: Prior
-    cases: Sequence[Case]
     posterior: Posterior
     sliding: dict[str, Sliding | None]  # tube -> estimate from the tension alone; None without a tension
     beyond: list[str]  # what of the logs is outside the training ranges of the response
     gains: list[Gain | None]  # of the tension gauge, per log; None without a tension
+
+    @property
+    def cases(self) -> Sequence[Case]:
+        """The logs."""
+        return self.posterior.likelihood.cases
 
     def summary(self, name: str, tube: int | None = None) -> dict[str, float]:
         """Mean and 90 % interval of an unknown, of one tube or over all of them."""
@@ -193,7 +196,7 @@ def calibrate(
     beyond = [f"{c.name}: {text}" for c in cases for text in response.outside(c.metres, c.scene)]
     sliding = {tube: by_sliding([c for c in cases if c.tube == tube], prior) for tube in posterior.likelihood.tubes}
     gains = [gain_of(posterior.likelihood, number, prior) for number in range(len(cases))]
-    return Calibration(prior, cases, posterior, sliding, beyond, gains)
+    return Calibration(prior, posterior, sliding, beyond, gains)
 
 
 def print_calibration(calibration: Calibration, own: bool = True) -> None:
@@ -262,29 +265,29 @@ def draw_corner(calibration: Calibration, path: Path) -> Path:
     return save(figure, path)
 
 
-def draw_bands(calibration: Calibration, response: Response, path: Path) -> Path:
+def draw_bands(calibration: Calibration, path: Path) -> Path:
     """Every channel of every log over length, with the predicted 90 % band."""
     from matplotlib.figure import Figure
 
     from agents.records.drawing import BLUE, GREY, GRID, plain, save
 
-    likelihood = Likelihood(response, calibration.cases)
-    present = [name for name in CHANNELS if any(name in case.metres.felt for case in calibration.cases)]
-    figure = Figure(figsize=(4.6 * len(calibration.cases) + 1.0, 2.1 * len(present) + 0.6), layout="constrained")
-    axes = figure.subplots(len(present), len(calibration.cases), squeeze=False, sharex="col", sharey="row")
+    likelihood, cases = calibration.posterior.likelihood, calibration.cases
+    present = [name for name in CHANNELS if any(name in case.metres.felt for case in cases)]
+    figure = Figure(figsize=(4.6 * len(cases) + 1.0, 2.1 * len(present) + 0.6), layout="constrained")
+    axes = figure.subplots(len(present), len(cases), squeeze=False, sharex="col", sharey="row")
     rng = np.random.default_rng(0)
-    for place, case in enumerate(calibration.cases):
-        draws = calibration.posterior.draws[likelihood.places[place]]
+    for number, case in enumerate(cases):
+        draws = calibration.posterior.draws[likelihood.tube_indices[number]]
         table = draws[rng.choice(len(draws), min(DRAWN, len(draws)), replace=False)]
-        strays, spread = likelihood.strays(place, table)
-        mean = likelihood.seen[place] - strays * spread
+        strays, spread = likelihood.strays(number, table)
+        mean = likelihood.observed[number] - strays * spread
         sample = 10.0 ** (mean + spread * rng.normal(size=mean.shape))
         low, middle, high = np.quantile(sample, [0.05, 0.5, 0.95], axis=0)
-        names = [CHANNELS[k] for k in likelihood.chosen[place]]
-        for axis, name in zip(axes[:, place], present, strict=True):
+        names = [CHANNELS[k] for k in likelihood.chosen[number]]
+        for axis, name in zip(axes[:, number], present, strict=True):
             axis.grid(**GRID)
             label, scale = LABELS[CHANNELS.index(name)]
-            if place == 0:
+            if number == 0:
                 axis.set_ylabel(label, fontsize=8)
             if name not in names:
                 continue
@@ -294,7 +297,7 @@ def draw_bands(calibration: Calibration, response: Response, path: Path) -> Path
             axis.plot(x, scale * case.metres.felt[name], ".", color="black", markersize=3.0, label="log")
             if name != "root_tension":
                 axis.set_yscale("log")
-        axes[0][place].set_title(plain(case.name), fontsize=9, color=GREY)
-        axes[-1][place].set_xlabel("inserted length [m]")
+        axes[0][number].set_title(plain(case.name), fontsize=9, color=GREY)
+        axes[-1][number].set_xlabel("inserted length [m]")
     axes[0][0].legend(fontsize=7, loc="best")
     return save(figure, path)

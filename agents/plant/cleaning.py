@@ -7,11 +7,11 @@ from typing import Final
 
 import numpy as np
 
-from agents.plant.columns import Channels
 from agents.plant.quantities import QUANTITIES
-from agents.plant.tables import IntArray, Table
+from agents.plant.reader import Channels, IntArray, Table
 from probe_env.arrays import FloatArray
 from probe_env.schedule import POSITIONS
+from probe_env.settings import within
 
 Band = tuple[FloatArray, FloatArray]
 DIGITS: Final = 6
@@ -39,16 +39,11 @@ class Bounds:
     every: float = 1.0  # longest time between rows of the clean log [s]
 
     def __post_init__(self) -> None:
-        for name, low, high, unit in (
-            ("gap", 1e-3, 3600.0, "s"),
-            ("backward", 0.0, 1.0, "m"),
-            ("start_length", 0.0, 1e3, "m"),
-            ("tolerance", 1e-5, 0.1, "m"),
-            ("every", 1e-3, 3600.0, "s"),
-        ):
-            value = getattr(self, name)
-            if not low <= value <= high:
-                raise ValueError(f"{name} = {value!r} is outside the accepted range {low:g} to {high:g} {unit}")
+        within("gap", self.gap, 1e-3, 3600.0, "s")
+        within("backward", self.backward, 0.0, 1.0, "m")
+        within("start_length", self.start_length, 0.0, 1e3, "m")
+        within("tolerance", self.tolerance, 1e-5, 0.1, "m")
+        within("every", self.every, 1e-3, 3600.0, "s")
         if self.every > self.gap:
             problem = f"every = {self.every:g} s is more than gap = {self.gap:g} s"
             raise ValueError(f"{problem}, and the clean file could not be read")
@@ -118,8 +113,19 @@ def cleaned(channels: Channels, bounds: Bounds) -> Cleaned:
                     f" {time[k]:.4g} s, more than {absolute:g} m and {100 * relative:g} % apart; the encoder is taken.",
                 )
     assert length is not None  # one of both is there
-    low, high = _band(channels, length, rows, bounds.backward, "feed_speed" if encoder is None else "inserted_length")
-    behind = high - length
+    high = np.maximum.accumulate(length)
+    behind, most = high - length, POSITIONS["inserted_length_m"][1]
+    if (back := behind > bounds.backward).any():
+        row = int(back.argmax())
+        problem = (
+            f"the probe moves back to {length[row]:.6g} m from {high[row]:.6g} m, more than the {bounds.backward:g} m"
+        )
+        hint = "that are taken for noise - a log is of the way in: cut the file there, or --backward"
+        name = "feed_speed" if encoder is None else "inserted_length"
+        raise table.error(rows[row], f"{problem} {hint}", channels.indices[name])
+    if length.max() > most:
+        raise table.error(rows[int(length.argmax())], f"a length of {length.max():.6g} m is more than {most:g} m")
+    low = np.minimum.accumulate(length[::-1])[::-1]
     repairs.backward, repairs.most_backward = int((behind > 0.0).sum()), float(behind.max())
     rising = np.where(low == high, length, 0.5 * (low + high))  # neither early nor late
     return Cleaned(time, rising, (low, high), values, repairs, notes, rows)
@@ -127,7 +133,7 @@ def cleaned(channels: Channels, bounds: Bounds) -> Cleaned:
 
 def _merged(channels: Channels, rows: IntArray) -> tuple[FloatArray, dict[str, FloatArray], IntArray]:
     """Time from 0, values averaged over rows of one time, and the first row of each; of the rows with a time."""
-    table, k = channels.table, channels.places["time"]
+    table, k = channels.table, channels.indices["time"]
     if len(rows) < 2:
         raise table.error(0, f"{len(rows)} rows have a time: at least two are needed", k)
     time = np.round(channels.time[rows] - channels.time[rows[0]], DIGITS)
@@ -173,28 +179,13 @@ def _bridged(
     known = np.flatnonzero(~np.isnan(column))
     if len(known) == len(column):
         return column
-    table, k = channels.table, channels.places[name]
+    table, k = channels.table, channels.indices[name]
     if not len(known):
         raise table.error(0, "no value in the whole column", k)
     edges = np.concatenate([[0], known, [len(column) - 1]])
     lasting = np.where(np.diff(edges) > 1, np.diff(time[edges]), 0.0)
     _check_gaps(table, rows[edges], lasting, f"column {table.heads[k]!r} has no values", gap)
     return np.asarray(np.interp(time, time[known], column[known]))
-
-
-def _band(channels: Channels, length: FloatArray, rows: IntArray, backward: float, name: str) -> Band:
-    """Smallest length (n,) from each row on, and largest up to it [m]; ``name`` is where the length comes from."""
-    table, most = channels.table, POSITIONS["inserted_length_m"][1]
-    before = np.maximum.accumulate(length)
-    back = before - length > backward
-    if back.any():
-        row = int(back.argmax())
-        problem = f"the probe moves back to {length[row]:.6g} m from {before[row]:.6g} m, more than the {backward:g} m"
-        hint = "that are taken for noise - a log is of the way in: cut the file there, or --backward"
-        raise table.error(rows[row], f"{problem} {hint}", channels.places[name])
-    if length.max() > most:
-        raise table.error(rows[int(length.argmax())], f"a length of {length.max():.6g} m is more than {most:g} m")
-    return np.minimum.accumulate(length[::-1])[::-1], before
 
 
 def held(time: FloatArray, length: FloatArray, band: Band, tolerance: float) -> tuple[FloatArray, IntArray]:

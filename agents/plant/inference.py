@@ -72,14 +72,14 @@ class Posterior(NamedTuple):
 
 
 class Likelihood:
-    """Likelihood of some cases under a response; ``tubes`` are their names, ``places`` each case's index in them."""
+    """Likelihood of some cases under a response; ``tube_indices`` are each case's in ``tubes``, the names."""
 
     def __init__(self, response: Response, cases: Sequence[Case]) -> None:
         self.response, self.cases = response, cases
         self.tubes = tuple(dict.fromkeys(case.tube for case in cases))
-        self.places = [self.tubes.index(case.tube) for case in cases]
+        self.tube_indices = [self.tubes.index(case.tube) for case in cases]
         self.chosen = [[k for k, name in enumerate(CHANNELS) if name in case.metres.felt] for case in cases]
-        self.seen = [observed(case.metres, chosen) for case, chosen in zip(cases, self.chosen, strict=True)]
+        self.observed = [observed(case.metres, chosen) for case, chosen in zip(cases, self.chosen, strict=True)]
         self.blocks = [
             {
                 channels: (columns, np.linalg.cholesky(response.covariance(case.metres.length, part)))
@@ -97,7 +97,7 @@ class Likelihood:
         mean, spread = self.response.predict(table, case.metres, case.scene)
         quiet = UNREST * np.minimum(FLOORS / 10.0**mean, 1.0)
         spread = np.hypot(np.hypot(spread, SENSOR), quiet)[..., chosen]
-        return (self.seen[number] - mean[..., chosen]) / spread, spread
+        return (self.observed[number] - mean[..., chosen]) / spread, spread
 
     def settle(self, draws: FloatArray) -> None:
         """Fix the scatter of every metre at its geometric mean over draws (tubes, n, 4).
@@ -106,15 +106,15 @@ class Likelihood:
         that alone: logs deviate less than the wandering insertions of the training.
         """
         self.settled = [
-            np.exp(np.log(self.strays(number, draws[place])[1]).mean(axis=0))
-            for number, place in enumerate(self.places)
+            np.exp(np.log(self.strays(number, draws[tube])[1]).mean(axis=0))
+            for number, tube in enumerate(self.tube_indices)
         ]
 
     def logarithm(self, draws: FloatArray) -> FloatArray:
         """(n,) logarithm of the likelihood at draws (tubes, n, 4), up to a constant; call ``settle`` before."""
         total = np.zeros(draws.shape[1])
-        for number, place in enumerate(self.places):
-            strays, spread = self.strays(number, draws[place])
+        for number, tube in enumerate(self.tube_indices):
+            strays, spread = self.strays(number, draws[tube])
             total += sum(self.block(number, channels, strays, spread) for channels in self.blocks[number])
         return total
 
@@ -160,10 +160,16 @@ def sampled(
         return np.asarray(likelihood.logarithm(prior.values(normal, tubes)) - 0.5 * (normal**2).sum(axis=1))
 
     walkers = max(WALKERS, 4 * size)
-    _settle(likelihood, prior, rng, tubes)
-    drawn = rng.normal(size=(256 * walkers, size))
-    logarithm = np.concatenate([density(part) for part in np.array_split(drawn, 256)])
-    start = drawn[rng.choice(len(drawn), walkers, replace=False, p=_shares(logarithm, walkers))]
+    # the scatter is settled where draws from the prior are likely, beginning with all of them
+    drawn, chosen = prior.values(rng.normal(size=(FIRST, size)), tubes), np.arange(LEAST)
+    for _ in range(SETTLED):
+        likelihood.settle(drawn[:, chosen])
+        logarithm = np.concatenate([likelihood.logarithm(p) for p in np.array_split(drawn, FIRST // 32, axis=1)])
+        chosen = rng.choice(FIRST, LEAST, p=_shares(logarithm, WALKERS))
+    likelihood.settle(drawn[:, chosen])
+    normal = rng.normal(size=(256 * walkers, size))
+    logarithm = np.concatenate([density(part) for part in np.array_split(normal, 256)])
+    start = normal[rng.choice(len(normal), walkers, replace=False, p=_shares(logarithm, walkers))]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)
         moves = [(emcee.moves.DEMove(), 0.8), (emcee.moves.DESnookerMove(), 0.2)]
@@ -175,20 +181,8 @@ def sampled(
     chain, density_of = sampler.get_chain(discard=BURN, flat=True), sampler.get_log_prob(discard=BURN, flat=True)
     rows = np.linspace(0, len(chain) - 1, KEPT).round().astype(int)
     best = prior.values(chain[[int(np.argmax(density_of))]], tubes)[:, 0]
-    misfit = [likelihood.misfit(k, best[place]) for k, place in enumerate(likelihood.places)]
+    misfit = [likelihood.misfit(k, best[tube]) for k, tube in enumerate(likelihood.tube_indices)]
     return Posterior(prior.values(chain[rows], tubes), misfit, likelihood)
-
-
-def _settle(likelihood: Likelihood, prior: Prior, rng: np.random.Generator, tubes: int) -> None:
-    """Settle the scatter where draws from the prior are likely, beginning with all of them."""
-    drawn = prior.values(rng.normal(size=(FIRST, tubes + len(prior.shared))), tubes)
-    chosen = np.arange(LEAST)
-    for _ in range(SETTLED):
-        likelihood.settle(drawn[:, chosen])
-        parts = np.array_split(drawn, FIRST // 32, axis=1)
-        logarithm = np.concatenate([likelihood.logarithm(part) for part in parts])
-        chosen = rng.choice(FIRST, LEAST, p=_shares(logarithm, WALKERS))
-    likelihood.settle(drawn[:, chosen])
 
 
 def _shares(logarithm: FloatArray, least: int) -> FloatArray:

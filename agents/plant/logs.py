@@ -11,14 +11,14 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from agents.plant.cleaning import DIGITS, DWELL, Bounds, Repairs, cleaned, held, kept_rows, outside, portion_means
-from agents.plant.columns import Channels, channels_of
 from agents.plant.quantities import HOUR, MEASURED, QUANTITIES, parse_columns
-from agents.plant.tables import IntArray, read_table
+from agents.plant.reader import IntArray, read_channels
 from agents.terminal.tables import print_table, print_terms
 from probe_env.arrays import FloatArray
 from probe_env.envs.task import TaskConfig
 from probe_env.files import FileError, one_line
 from probe_env.schedule import AIR, CSV_COMMENT, FEED, MOST_POINTS, RANGES
+from probe_env.settings import within
 
 DECIMALS: Final[Mapping[str, str]] = {"auto": "", "point": ".", "comma": ","}
 USUAL: Final = Bounds()
@@ -113,19 +113,13 @@ def read_log(
     path, options = Path(path), parse_columns(columns)
     if decimal not in DECIMALS:
         raise ValueError(f"decimal = {decimal!r} is not one of {', '.join(DECIMALS)}")
-    highest = RANGES[AIR][1] / HOUR
-    if air_supply_rate is not None and not 0.0 <= air_supply_rate <= highest:
-        raise ValueError(f"air_supply_rate = {air_supply_rate!r} is outside the accepted range 0 to {highest:g} m3/s")
-    channels = channels_of(read_table(path, sheet, options), options, DECIMALS[decimal], air_supply_rate)
-    return _thinned(channels, bounds)
-
-
-def _thinned(channels: Channels, bounds: Bounds) -> Log:
-    """The log of a clean file; one that is clean already keeps all rows."""
+    if air_supply_rate is not None:
+        within("air_supply_rate", air_supply_rate, 0.0, RANGES[AIR][1] / HOUR, "m3/s")
+    channels = read_channels(path, sheet, options, DECIMALS[decimal], air_supply_rate)
     table, whole = channels.table, cleaned(channels, bounds)
     share = 0.49 * bounds.tolerance  # for standing still, for straight lines, the rest for digits
     rows: IntArray
-    if table.steps:
+    if table.steps:  # it is clean already
         length, rows = whole.length.copy(), np.arange(len(whole.time))
     else:
         length, ends = held(whole.time, whole.length, whole.band, share)
@@ -157,21 +151,18 @@ def print_log(log: Log, path: Path) -> None:
     ]
     print_table(one_line(path.name), ("channel", "unit", "least", "most"), rows, left=2)
     start, end = log.inserted_length[[0, -1]]
-    counts = {
-        "gaps": (repairs.gaps, f"bridged, the longest of {repairs.longest_gap:.3g} s"),
-        "missing": (repairs.missing, "values interpolated"),
-        "no time": (repairs.untimed, "rows left out"),
-        "duplicates": (repairs.duplicates, "rows averaged with the one of the same time"),
-        "backward": (repairs.backward, f"rows smoothed, by {1e3 * repairs.most_backward:.2g} mm at most"),
-    }
     terms = {
         "rows": f"{repairs.rows}, of which {len(log.time)} are written",
         "duration": f"{log.time[-1]:.6g} s",
         "length": f"{start:.4f} m to {end:.4f} m, within {1e3 * log.deviation:.2f} mm at every row",
-        **{name: f"{count} {text}" if count else "none" for name, (count, text) in counts.items()},
-        "dwells": str(len(dwells) or "none"),
+        "gaps": f"{repairs.gaps} bridged, the longest of {repairs.longest_gap:.3g} s",
+        "missing": f"{repairs.missing} values interpolated",
+        "no time": f"{repairs.untimed} rows left out",
+        "duplicates": f"{repairs.duplicates} rows averaged with the one of the same time",
+        "backward": f"{repairs.backward} rows smoothed, by {1e3 * repairs.most_backward:.2g} mm at most",
+        "dwells": str(len(dwells)),
     }
-    print_terms(terms)
+    print_terms({name: "none" if text.split()[0] == "0" else text for name, text in terms.items()})
     if dwells:
         title = f"standstills, the first {DWELLS_SHOWN}" if len(dwells) > DWELLS_SHOWN else "standstills"
         rows_of_dwells = [(f"{d.inserted_length:.3f}", f"{d.time:.2f}", f"{d.duration:.2f}") for d in dwells]

@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from agents.policies import plc_law
-from agents.policies.places import Place
+from agents.policies.cases import EvaluationCase
 from agents.policies.plc_law import SHORTEST, Constants, PlantData, Trim, law_at
 from agents.policies.policy import Domain, check_domains
 from agents.records.atomic import write_atomically
@@ -99,7 +99,12 @@ def print_law(constants: Constants, trim: Trim | None = None) -> None:
 
 
 def write_law(
-    constants: Constants, plant: PlantData, place: Place, st: Path | None, csv: Path | None, trim: Trim | None = None
+    constants: Constants,
+    plant: PlantData,
+    place: EvaluationCase,
+    st: Path | None,
+    csv: Path | None,
+    trim: Trim | None = None,
 ) -> None:
     """Write the law as structured text (with a trim, if any) and as a table.
 
@@ -110,7 +115,7 @@ def write_law(
         warnings.warn(
             f"required_tension = {needed:g} N: the law's least air, {3600.0 * plant.air_supply_rates[0]:.4g} m3/h, was"
             f" chosen for {usual:g} N and can lose the drive; raise air_supply_rates[0] in [air] of the tube's file, or"
-            " evaluate shielded:plc-law",
+            " evaluate shielded:plc-proportional",
             stacklevel=2,
         )
     check_domains({"the law": Domain.of_map(stored_map())}, place.config, place.contexts, strict=False)

@@ -12,7 +12,7 @@ from scipy.special import ndtr
 
 from probe_env import Plant
 from probe_env.arrays import FloatArray
-from probe_env.envs.plants.tables import Between, Figure, Normal, quantiles
+from probe_env.envs.plants import Between, Figure, Normal, quantiles
 from probe_env.files import FileError
 
 FRICTION: Final = (0.05, 0.35)

@@ -1,4 +1,4 @@
-"""Quantities of a log: their columns in a clean file, the heads and units that rigs write, and ``--columns``."""
+"""Quantities of a log: columns of a clean file, the heads and units that rigs write, accepted ranges, ``--columns``."""
 
 from __future__ import annotations
 
@@ -16,53 +16,61 @@ class Quantity(NamedTuple):
     """A quantity of a log: as ``--columns`` takes it and as a clean file has it."""
 
     name: str
-    column: str
-    unit: str
-    scale: float  # of that unit [SI]
+    unit: str  # of a clean file
     si: str  # as pint writes it
     low: float  # accepted [SI]
     high: float
+    heads: str  # that mean it, beside its name: small letters, without unit
+    scale: float = 1.0  # of ``unit`` [SI]
+    noise: float = 0.0  # how far below ``low`` a meter may read [SI]; it is taken for ``low``
     rms: bool = False  # whether it is averaged as a root mean square
 
+    @property
+    def column(self) -> str:
+        """Head of the column of a clean file."""
+        return f"{self.name}_{self.unit.lower().replace('/', '_per_')}"
 
-_RADIAL, _AXIAL = "radial_acceleration_rms", "axial_acceleration_rms"
-_MOST_LENGTH, _MOST_FEED, _MOST_AIR = POSITIONS["inserted_length_m"][1], RANGES[FEED][1], RANGES[AIR][1] / HOUR
-_ALL: Final = (
-    Quantity("time", "time_s", "s", 1.0, "s", -inf, inf),
-    Quantity("inserted_length", "inserted_length_m", "m", 1.0, "m", 0.0, _MOST_LENGTH),
-    Quantity("feed_speed", FEED, "m/s", 1.0, "m/s", -_MOST_FEED, _MOST_FEED),
-    Quantity("air_supply", AIR, "m3/h", 1.0 / HOUR, "m**3/s", 0.0, _MOST_AIR),
-    Quantity("root_tension", "root_tension_n", "N", 1.0, "N", -1e5, 1e5),
-    Quantity(_RADIAL, f"{_RADIAL}_m_per_s2", "m/s2", 1.0, "m/s**2", 0.0, 1e6, rms=True),
-    Quantity(_AXIAL, f"{_AXIAL}_m_per_s2", "m/s2", 1.0, "m/s**2", 0.0, 1e6, rms=True),
-    Quantity("rf_noise_rms", "rf_noise_rms_m", "m", 1.0, "m", 0.0, 1.0, rms=True),
+
+_LENGTH, _FEED, _AIR = POSITIONS["inserted_length_m"][1], RANGES[FEED][1], RANGES[AIR][1] / HOUR
+_TIME_HEADS: Final = (
+    "t, timestamp, time stamp, datetime, date time, elapsed time, zeit, zeitstempel, uhrzeit, zeitpunkt, datum uhrzeit,"
+    " messzeit"
+)
+_LENGTH_HEADS: Final = (
+    "insertion length, length, position, encoder, encoder position, länge, laenge, weg, weggeber, drehgeber,"
+    " eingeschobene länge, einschublänge, einschublaenge, einfahrlänge"
+)
+_FEED_HEADS: Final = (
+    "feed, feed rate, speed, velocity, vorschub, vorschubgeschwindigkeit, geschwindigkeit, einschubgeschwindigkeit"
+)
+_AIR_HEADS: Final = (
+    "air supply rate, air, air flow, airflow, flow, flow rate, luft, luftmenge, luftstrom, luftzufuhr, volumenstrom,"
+    " luftvolumenstrom"
+)
+_TENSION_HEADS: Final = "tension, cable tension, zugkraft, kabelzug, kabelzugkraft, wurzelzugkraft"
+_RADIAL_HEADS: Final = "radial acceleration, acceleration radial, radialbeschleunigung, beschleunigung radial"
+_NOISE_HEADS: Final = "rf noise, noise, eddy current noise, rauschen, hf rauschen, signalrauschen, wirbelstromrauschen"
+_ALL = (
+    Quantity("time", "s", "s", -inf, inf, _TIME_HEADS),
+    Quantity("inserted_length", "m", "m", 0.0, _LENGTH, _LENGTH_HEADS, noise=0.02),
+    Quantity("feed_speed", "m/s", "m/s", -_FEED, _FEED, _FEED_HEADS),
+    Quantity("air_supply", "m3/h", "m**3/s", 0.0, _AIR, _AIR_HEADS, scale=1.0 / HOUR, noise=1.0 / HOUR),
+    Quantity("root_tension", "N", "N", -1e5, 1e5, _TENSION_HEADS),
+    Quantity("radial_acceleration_rms", "m/s2", "m/s**2", 0.0, 1e6, _RADIAL_HEADS, rms=True),
+    Quantity("axial_acceleration_rms", "m/s2", "m/s**2", 0.0, 1e6, _RADIAL_HEADS.replace("radial", "axial"), rms=True),
+    Quantity("rf_noise_rms", "m", "m", 0.0, 1.0, _NOISE_HEADS, rms=True),
 )
 QUANTITIES: Final[Mapping[str, Quantity]] = {quantity.name: quantity for quantity in _ALL}
+MEASURED: Final = tuple(QUANTITIES)[4:]
+"""Quantities that a log may lack."""
 DATE: Final = "date"
 """The day of a clock that stands in another column."""
 NAMES: Final = (*QUANTITIES, DATE)
 """What ``--columns`` may name."""
-HEADS: Final = {
-    "time": "time, t, timestamp, time stamp, datetime, date time, elapsed time, zeit, zeitstempel, uhrzeit, zeitpunkt,"
-    " datum uhrzeit, messzeit",
-    "inserted_length": "inserted length, insertion length, length, position, encoder, encoder position, länge, laenge,"
-    " weg, weggeber, drehgeber, eingeschobene länge, einschublänge, einschublaenge, einfahrlänge",
-    "feed_speed": "feed speed, feed, feed rate, speed, velocity, vorschub, vorschubgeschwindigkeit, geschwindigkeit,"
-    " einschubgeschwindigkeit",
-    "air_supply": "air supply, air supply rate, air, air flow, airflow, flow, flow rate, luft, luftmenge, luftstrom,"
-    " luftzufuhr, volumenstrom, luftvolumenstrom",
-    "root_tension": "root tension, tension, cable tension, zugkraft, kabelzug, kabelzugkraft, wurzelzugkraft",
-    _RADIAL: "radial acceleration rms, radial acceleration, acceleration radial, radialbeschleunigung,"
-    " beschleunigung radial",
-    _AXIAL: "axial acceleration rms, axial acceleration, acceleration axial, axialbeschleunigung, beschleunigung axial",
-    "rf_noise_rms": "rf noise rms, rf noise, noise, eddy current noise, rauschen, hf rauschen, signalrauschen,"
-    " wirbelstromrauschen",
-    DATE: "date, day, datum, tag, messdatum",
+_HEADS: Final = {DATE: "day, datum, tag, messdatum"} | {name: q.heads for name, q in QUANTITIES.items()}
+_BY_HEAD: Final = {
+    head: name for name, heads in _HEADS.items() for head in (name.replace("_", " "), *heads.split(", "))
 }
-"""Quantity -> heads that mean it, in small letters, without unit."""
-_BY_HEAD: Final = {head: name for name, heads in HEADS.items() for head in heads.split(", ")}
-MEASURED: Final = ("root_tension", _RADIAL, _AXIAL, "rf_noise_rms")
-"""Quantities that a log may lack."""
 
 _UNIT: Final = re.compile(r"\s*(?:\[([^\[\]]*)\]|\(([^()]*)\)|\bin\s+([^\s\[\]()]+))\s*$")
 """At the end of a head: [mm/s], (m3/h), in mm/s."""
@@ -77,9 +85,11 @@ _POWER: Final = re.compile(r"(?<=[A-Za-zµ])(?:\^|\*\*)?(-?[1-3])(?![\w^*])")
 _SHAPE: Final = re.compile(r"[A-Za-zµ_]+(?:\*\*-?[1-3])?(?:[*/ ][A-Za-zµ_]+(?:\*\*-?[1-3])?)*")
 """The units that pint is given: it would also compute powers of large numbers, without end."""
 _WORDS: Final = {"sek": "s", "sec": "s", "sekunden": "s", "minuten": "min", "std": "h", "stunden": "h"}
-_GRAVITY: Final = dict.fromkeys(("g", "G", "gn", "g_n"), "standard_gravity") | {"mg": "millistandard_gravity"}
-_NORMAL: Final = re.compile(r"^[Nn](?=(?:m\*\*3|[lL])(?:/|$))")
-"""Normal cubic metres and litres: the air at normal conditions."""
+_OF_DIMENSION: Final = {
+    "m/s**2": (r"^(m?)(?:g|G|gn|g_n)$", lambda match: f"{'milli' * bool(match[1])}standard_gravity"),
+    "m**3/s": (r"^[Nn](?=(?:m\*\*3|[lL])(?:/|$))", lambda _: ""),  # normal cubic metres and litres
+}
+"""SI unit -> pattern of a unit that pint reads as another, and the right one."""
 
 
 def split_head(head: str) -> tuple[str, str]:
@@ -122,17 +132,17 @@ def parse_columns(texts: Sequence[str]) -> tuple[ColumnOption, ...]:
     Raises:
         ValueError: not HEAD=QUANTITY, an unknown quantity, or one quantity from two columns.
     """
-    options: list[ColumnOption] = []
+    options: dict[str, ColumnOption] = {}
     for text in texts:
         head, _, right = text.rpartition("=")
         name, unit = split_head(right) if right.rstrip().endswith(("]", ")")) else (right.strip(), "")
         if not head.strip() or name not in NAMES:
             problem = f"columns = {text[:100]!r} is not HEAD=QUANTITY or HEAD=QUANTITY[UNIT]"
             raise ValueError(f"{problem}, with one of {', '.join(NAMES)}")
-        if name in (other.quantity for other in options):
+        if name in options:
             raise ValueError(f"columns = {text[:100]!r}: {name} is named twice, and comes from one column")
-        options.append(ColumnOption(head.strip(), name, unit))
-    return tuple(options)
+        options[name] = ColumnOption(head.strip(), name, unit)
+    return tuple(options.values())
 
 
 def si_factor(unit: str, quantity: Quantity) -> float:
@@ -147,10 +157,8 @@ def si_factor(unit: str, quantity: Quantity) -> float:
     text = re.sub(r"\s+(?:rms|eff\.?)$", "", unit.strip(), flags=re.IGNORECASE).translate(_SUPERSCRIPTS)
     text = _POWER.sub(r"**\1", re.sub(r"\s*([/*])\s*", r"\1", text))
     text = _WORDS.get(text.rstrip(".").lower(), text)
-    if quantity.si == "m**3/s":
-        text = _NORMAL.sub("", text)
-    elif quantity.si == "m/s**2":
-        text = _GRAVITY.get(text, text)
+    if quantity.si in _OF_DIMENSION:
+        text = re.sub(*_OF_DIMENSION[quantity.si], text)
     example = f"give one like {quantity.unit}: --columns 'HEAD={quantity.name}[{quantity.unit}]'"
     if len(text) > LONGEST_UNIT or not _SHAPE.fullmatch(text):
         raise ValueError(f"{unit[:LONGEST_UNIT]!r} is not a unit - {example}")
@@ -168,6 +176,5 @@ def si_factor(unit: str, quantity: Quantity) -> float:
 
 def looks_like_unit(cell: str) -> bool:
     """Whether a cell below a head may be its unit."""
-    text = cell.strip().strip("[]()").strip().translate(_SUPERSCRIPTS)
-    shape = rf"[A-Za-zµ°%/*^ \d-]{{0,{LONGEST_UNIT}}}"
-    return not text.isdigit() and re.fullmatch(shape, text) is not None
+    text = cell.strip("[]() ").translate(_SUPERSCRIPTS)
+    return not text.isdigit() and re.fullmatch(rf"[A-Za-zµ°%/*^ \d-]{{0,{LONGEST_UNIT}}}", text) is not None

@@ -21,10 +21,10 @@ from agents.evaluation.run import evaluate_plan, plan_of
 from agents.evaluation.workers import HERE, Workers
 from agents.plant.prior import UNKNOWNS
 from agents.plant.response import CHANNELS, Metres, Response, steady_tension
+from agents.policies.cases import case_of
 from agents.policies.catalogue import name_and_spec
 from agents.policies.law import Law, OfDiameter
-from agents.policies.lookup import FIRST, SPACING
-from agents.policies.places import place_of
+from agents.policies.on_map import FIRST, SPACING
 from agents.policies.policy import OutsideDomain
 from agents.records.atomic import write_atomically
 from agents.records.manifest import origin, write_json
@@ -97,8 +97,8 @@ def recommend(
     Raises:
         ValueError: the plant, or a schedule to compare with, is not valid; nothing was written.
     """
-    seen = place_of(plant, "train")
-    unseen = place_of(plant, "test", confirmation.limit) if confirmation else seen
+    seen = case_of(plant, "train")
+    unseen = case_of(plant, "test", confirmation.limit) if confirmation else seen
     for text in beyond(seen.contexts, response, seen.config):
         warnings.warn(f"recommended beyond what the response was learnt from: {text}", OutsideDomain, stacklevel=2)
     specs = (*(confirmation.own if confirmation else ()), *OURS)

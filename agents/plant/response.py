@@ -19,10 +19,9 @@ from scipy.linalg import solve_triangular
 from agents.plant.logs import Log
 from agents.plant.quantities import MEASURED, QUANTITIES
 from agents.records.atomic import write_atomically
-from agents.records.reading import FileError
 from probe_env import Scene
 from probe_env.arrays import FloatArray
-from probe_env.files import read_arrays
+from probe_env.files import FileError, read_arrays
 from probe_env.physics.closed_forms import drag_per_metre, sliding_tension
 from probe_env.physics.model.chain import air_speed
 

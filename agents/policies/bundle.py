@@ -25,11 +25,11 @@ from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.vec_env import VecNormalize
 
 from agents.policies.policy import Domain, RangesOfTubes
+from agents.policies.trained import RESTORE, read_weights
 from agents.policies.view import View
-from agents.records.arrays import RESTORE, read_weights
 from agents.records.atomic import write_atomically
 from probe_env.envs.task import TaskConfig, action_in
-from probe_env.envs.task.observations import PROBE
+from probe_env.envs.task.scales import PROBE
 from probe_env.envs.vibration_map import stored_map
 from probe_env.files import FileError
 from probe_env.settings import Model, explain, quantity
@@ -94,6 +94,8 @@ class Description(Model):
 class Agent:
     """A trained policy with SB3's ``predict`` on the task's own observations; memory is in the state that it returns.
 
+    Where a probe is drawn back, too, its feed is in the steps of the device that it was trained with.
+
     Args:
         description: what it is.
         policy: SB3's policy with its weights.
@@ -111,6 +113,8 @@ class Agent:
             if trained != here:
                 raise ValueError(f"{name} = {here!r} differs from {trained!r}, which the agent was trained with")
         others = [name for name in PREVIOUS if getattr(description.task, name) != getattr(config, name)]
+        step = description.task.feed_speed_step
+        self._feed_speed_step = step if config.returns and step != config.feed_speed_step else 0.0
         if others and description.view.guide is not None:
             trained, here = getattr(description.task, others[0]), getattr(config, others[0])
             raise ValueError(f"{others[0]} = {here!r} differs from {trained!r}, in which the agent's guide acts")
@@ -146,12 +150,16 @@ class Agent:
         features, memory = view.features(self.config, rows, memory, new)
         start = np.ones(len(rows), dtype=bool) if state is None else new
         actions, inner = self.policy.predict(features, inner, start, deterministic)
-        acted = view.env_actions(self.description.task, actions, view.guided(features))
-        if not np.isfinite(acted).all():
+        applied = view.env_actions(self.description.task, actions, view.guided(features))
+        if not np.isfinite(applied).all():
             raise ValueError(f"the agent of bundle {self.hash or '(unsaved)'} acts with numbers that are not finite")
         if self._other_ranges:
-            acted = self.config.actions(*self.description.task.targets(acted).T).astype(np.float32)
-        return (acted[0] if np.ndim(observation) == 1 else acted), (memory, inner)
+            applied = self.config.actions(*self.description.task.targets(applied).T).astype(np.float32)
+        if self._feed_speed_step:  # a network's output varies all the time, and every change shakes a withdrawn probe
+            feed, air = self.config.targets(applied).T
+            feed = self._feed_speed_step * np.round(feed / self._feed_speed_step)
+            applied = self.config.actions(feed, air).astype(np.float32)
+        return (applied[0] if np.ndim(observation) == 1 else applied), (memory, inner)
 
     def describe(self) -> dict[str, Any]:
         """Equal for equal agents."""
@@ -230,7 +238,7 @@ def from_sb3(model: BaseAlgorithm, config: TaskConfig) -> Agent:
     Raises:
         ValueError: the model is of another kind, or of other spaces than the task.
     """
-    return Agent(_described(model, config), model.policy, config.all_shown)
+    return Agent(_described(model, config), model.policy, config.full_observation)
 
 
 def save_bundle(path: str | Path, model: BaseAlgorithm, config: TaskConfig) -> str:

@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Final
 from agents.policies.fixed import BUILT_IN, Replayed, Scheduled
 from agents.policies.law import Law, Lawful
 from agents.policies.on_map import MAP_POLICIES, ByDiameter
-from agents.policies.planner import INSPECTION_PLANNERS, PLANNERS, InspectionPlanner, Planner
+from agents.policies.planner import INSPECTION_PLANNERS, PLANNERS, InsertionPlanner, InspectionPlanner
 from agents.policies.plc_law import PlcLaw, TrimmedLaw
 from agents.policies.policy import Domain, Policy
-from agents.policies.wrappers import PREFIX, BothWays, InSteps, Shielded, fastest_back, unshielded, way_in
+from agents.policies.wrappers import PREFIX, BothWays, Shielded, fastest_back, way_in
 from agents.records.shipped import agent_file, policy_file, shipped_agents, shipped_names, ships
 from agents.terminal.names import checked_name, name_of
 from probe_env.envs.task import TaskConfig
@@ -30,7 +30,9 @@ if TYPE_CHECKING:
 DATA: Final = Path(__file__).parent / "data"
 STORED: Final = ("best-constant", "best-schedule")
 """Schedules found by ``probe-env study best-schedules``, in ``agents/policies/data/``."""
-LAWS: Final[dict[str, type[PlcLaw]]] = {"plc-law": PlcLaw, "trimmed-law": TrimmedLaw}
+LAWS: Final[dict[str, type[PlcLaw]]] = {"plc-proportional": PlcLaw, "plc-integral": TrimmedLaw}
+OLD_NAMES: Final = {"plc-law": "plc-proportional", "trimmed-law": "plc-integral"}
+"""Names before version 0.1.0, which stored results have, and are still accepted."""
 BY_DIAMETER: Final = "best-schedule-by-diameter"
 NAMES: Final = (*BUILT_IN, *STORED, BY_DIAMETER, *MAP_POLICIES, *LAWS, *PLANNERS)
 CLASS: Final = re.compile(r"(?P<module>[A-Za-z_][\w.]*):(?P<name>[A-Za-z_]\w*)")
@@ -59,30 +61,32 @@ def named_policies(
     }
 
 
-def name_and_spec(given: str) -> tuple[str, str]:
+def name_and_spec(argument: str) -> tuple[str, str]:
     """Name and spec of a policy argument; an existing file wins, whatever characters its name has."""
-    if given.startswith(PREFIX):
-        name, spec = name_and_spec(unshielded(given))
+    if argument.startswith(PREFIX):
+        name, spec = name_and_spec(argument.removeprefix(PREFIX))
         return f"shielded-{name}", PREFIX + spec
-    splits = [(given[:k], given[k + 1 :]) for k, character in enumerate(given) if character == "="]
-    if _is_file(given) or not splits:
-        custom = CLASS.fullmatch(given)
-        return custom["name"] if custom else name_of(Path(given)) if "." in given else given, given
-    return next((split for split in splits if _is_known(unshielded(split[1])) or _is_file(split[1])), splits[0])
+    splits = [(argument[:k], argument[k + 1 :]) for k, character in enumerate(argument) if character == "="]
+    if _is_file(argument) or not splits:
+        custom = CLASS.fullmatch(argument)
+        return custom["name"] if custom else name_of(Path(argument)) if "." in argument else argument, argument
+    return next((split for split in splits if _is_known(split[1])), splits[0])
 
 
 def _is_known(spec: str) -> bool:
-    return spec in (*NAMES, *shipped_names("schedules")) or agent_file(spec) is not None or bool(CLASS.fullmatch(spec))
+    bare = spec.removeprefix(PREFIX)
+    named = bare in (*NAMES, *OLD_NAMES, *shipped_names("schedules")) or agent_file(bare) is not None
+    return named or bool(CLASS.fullmatch(bare)) or _is_file(spec)
 
 
 def _is_file(spec: str) -> bool:
-    path = Path(unshielded(spec))
+    path = Path(spec.removeprefix(PREFIX))
     return path.suffix in (".csv", ".toml", ".json", ".safetensors") and path.exists()
 
 
 def own_policies(specs: Sequence[str]) -> list[str]:
     """Names of the user's own policies: classes, and files except for agents that ship."""
-    pairs = [(name, unshielded(spec)) for name, spec in map(name_and_spec, specs)]
+    pairs = [(name, spec.removeprefix(PREFIX)) for name, spec in map(name_and_spec, specs)]
     return [
         name
         for name, spec in pairs
@@ -110,19 +114,19 @@ def make_policy(spec: str, config: TaskConfig, vibration: VibrationMap | None = 
     if config.returns:
         return _both_ways(spec, config, vibration, classes)
     if spec.startswith(PREFIX):
-        if unshielded(spec) in PLANNERS:
+        if spec.removeprefix(PREFIX) in PLANNERS:
             raise ValueError(f"policy = {spec!r}: the shield is for what goes by observations; a planner looks ahead")
-        return Shielded(config, make_policy(unshielded(spec), config, vibration, classes))
-    spec = policy_file(spec)
+        return Shielded(config, make_policy(spec.removeprefix(PREFIX), config, vibration, classes))
+    spec = policy_file(OLD_NAMES.get(spec, spec))
     suffix = Path(spec).suffix
     if spec in BUILT_IN:
         kind, arguments = BUILT_IN[spec]
         return kind(config, **arguments)
     if spec in (*MAP_POLICIES, *PLANNERS):
-        known = vibration or stored_map()
-        check_measure(known, config)
-        on_map, settings = MAP_POLICIES[spec] if spec in MAP_POLICIES else (Planner, PLANNERS[spec])
-        return on_map(config, vibration=known, **settings)
+        vibration = vibration or stored_map()
+        check_measure(vibration, config)
+        on_map, settings = MAP_POLICIES[spec] if spec in MAP_POLICIES else (InsertionPlanner, PLANNERS[spec])
+        return on_map(config, vibration=vibration, **settings)
     if spec in LAWS:
         return LAWS[spec](config)
     if spec in STORED:
@@ -162,10 +166,9 @@ def _custom(config: TaskConfig, module: str, name: str) -> Policy:
     if missing:
         raise ValueError(f"policy = {spec!r}: the class has no method {' and no method '.join(missing)}")
     try:
-        policy: Policy = kind(config)
+        return kind(config)  # type: ignore[no-any-return]
     except Exception as error:
         raise ValueError(f"policy = {spec!r} cannot be made for the task ({_reason(error)})") from error
-    return policy
 
 
 def _reason(error: Exception) -> str:
@@ -178,13 +181,11 @@ def _both_ways(spec: str, config: TaskConfig, vibration: VibrationMap | None, cl
     if spec in PLANNERS:
         names = ", ".join(INSPECTION_PLANNERS)
         raise ValueError(f"policy = {spec!r} looks ahead on the way in alone; planners of both ways are {names}")
-    file = Path(policy_file(unshielded(spec)))
-    trained = _agent(file).config if file.suffix == ".safetensors" else None
-    if trained is not None and trained.returns:
+    file = Path(policy_file(spec.removeprefix(PREFIX)))
+    if file.suffix == ".safetensors" and _agent(file).config.returns:
         if spec.startswith(PREFIX):
             raise ValueError(f"policy = {spec!r}: the shield is for the way in, and this agent acts both ways")
-        agent, step = _agent(file, config), trained.feed_speed_step
-        return InSteps(config, agent, step) if step > 0.0 else agent
+        return _agent(file, config)
     back = Schedule.read_back(file) if file.suffix in (".csv", ".toml") else None
     if back is not None:
         _warn_of_limits(f"{spec}, way back", back, config)
@@ -202,7 +203,7 @@ def domains_of(specs: Sequence[str], policies: Mapping[str, Policy]) -> dict[str
     domains: dict[str, Domain | None] = {}
     for name, spec in map(name_and_spec, specs):
         policy = policies[name]
-        shipped = policy_file(unshielded(spec)) in (*STORED, BY_DIAMETER)
+        shipped = policy_file(spec.removeprefix(PREFIX)) in (*STORED, BY_DIAMETER)
         domains[name] = Domain.of_map(stored_map()) if shipped else getattr(policy, "domain", None)
     return domains
 

@@ -20,6 +20,16 @@ from probe_env.schedule import Schedule
 
 State = tuple[np.ndarray, ...]
 STUDY_FEED, STUDY_AIR = 0.2, 63.0 / 3600.0
+NEEDED: Final = {
+    "root_tension": "the root tension (observe_root_tension = true)",
+    "friction": "the tube (privileged = true)",
+}
+"""Observations that not every task shows."""
+
+
+def gain(config: TaskConfig, seconds: float) -> float:
+    """Share of the newest value in an average with a time constant [s], for one control period."""
+    return float(1.0 - np.exp(-config.period / seconds))
 
 
 @dataclass
@@ -30,18 +40,28 @@ class FixedPolicy(ABC):
         config: the task that it acts in.
         memory: size of the memory for each environment, besides the time.
         stands: whether a feed of 0 is a standstill, and not the slowest feed of the task's device.
+        needs: observations without which it cannot act, of ``NEEDED``.
+
+    Raises:
+        ValueError: the task does not show what it needs.
     """
 
     config: TaskConfig
     memory: ClassVar[int] = 0
     stands: ClassVar[bool] = False
+    needs: ClassVar[tuple[str, ...]] = ()
+
+    def __post_init__(self) -> None:
+        for name in self.needs:
+            if name not in self.config.observations:
+                raise ValueError(f"{type(self).__name__} needs a task that shows {NEEDED[name]}")
 
     @abstractmethod
-    def targets(self, seen: dict[str, FloatArray], memory: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def targets(self, measured: dict[str, FloatArray], memory: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Target feed speed [m/s] and air supply [m3/s], (N,) each.
 
         Args:
-            seen: time [s] since the episode began, and the observations in SI units, see ``in_si_units``.
+            measured: time [s] since the episode began, and the observations in SI units, see ``in_si_units``.
             memory: (N, m), updated in place.
         """
 
@@ -68,7 +88,7 @@ class FixedPolicy(ABC):
         memory[:, 0] += self.config.period
         action = self.config.actions(feed, air).astype(np.float32)
         if self.stands:
-            action[np.asarray(feed) == 0.0, 0] = self.config.standing
+            action[np.asarray(feed) == 0.0, 0] = self.config.standstill
         return (action[0] if np.ndim(observation) == 1 else action), (memory,)
 
     def describe(self) -> dict[str, Any]:
@@ -84,9 +104,9 @@ class Constant(FixedPolicy):
     feed_speed: float = STUDY_FEED
     air_supply_rate: float = STUDY_AIR
 
-    def targets(self, seen: dict[str, FloatArray], memory: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def targets(self, measured: dict[str, FloatArray], memory: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Constant."""
-        one = np.ones_like(seen["time"])
+        one = np.ones_like(measured["time"])
         return self.feed_speed * one, self.air_supply_rate * one
 
 
@@ -96,9 +116,9 @@ class Scheduled(FixedPolicy):
 
     schedule: Schedule = field(default_factory=lambda: Schedule("time", "steps", (0.0,), (STUDY_FEED,), (STUDY_AIR,)))
 
-    def targets(self, seen: dict[str, FloatArray], memory: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def targets(self, measured: dict[str, FloatArray], memory: FloatArray) -> tuple[FloatArray, FloatArray]:
         """What the schedule says for the time or the inserted length."""
-        return self.schedule.at(seen[self.schedule.over])
+        return self.schedule.at(measured[self.schedule.over])
 
 
 @dataclass
@@ -118,20 +138,20 @@ class Replayed(FixedPolicy):
         """Memory: the schedule's time at the start, and the inserted length less what it has fed."""
         memory[:] = np.nan
 
-    def targets(self, seen: dict[str, FloatArray], memory: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def targets(self, measured: dict[str, FloatArray], memory: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Feed by the difference between the schedule's length and the (delayed) inserted length."""
         schedule, period, late = self.schedule, self.config.period, self.config.delay_periods
-        new, inserted = np.isnan(memory[:, 0]), seen["inserted_length"]
+        new, inserted = np.isnan(memory[:, 0]), measured["inserted_length"]
         memory[new, 0] = schedule.time_at(inserted[new])
-        given = schedule.start_length is not None
-        memory[new, 1] = schedule.start_length if given else inserted[new] - schedule.fed(memory[new, 0])
-        now = memory[:, 0] + seen["time"]
+        start = inserted[new] - schedule.fed(memory[new, 0])
+        memory[new, 1] = start if schedule.start_length is None else schedule.start_length
+        now = memory[:, 0] + measured["time"]
         seen_at = np.maximum(now - late * period, memory[:, 0])
         behind = memory[:, 1] + schedule.fed(seen_at) - inserted
-        gain = 1.0 / (1.0 + 2.0 * late)  # stable for every delay: below 2 sin(pi / (4 late + 2))
-        wanted = (schedule.fed(now + period) - schedule.fed(now) + gain * behind) / period
+        share = 1.0 / (1.0 + 2.0 * late)  # stable for every delay: below 2 sin(pi / (4 late + 2))
+        target = (schedule.fed(now + period) - schedule.fed(now) + share * behind) / period
         slow, fast = self.config.feed_speeds
-        feed = np.where(wanted < 0.5 * slow, 0.0, np.clip(wanted, slow, fast))
+        feed = np.where(target < 0.5 * slow, 0.0, np.clip(target, slow, fast))
         last, air = schedule.at(now)
         return np.where(now < schedule.position[-1], feed, np.clip(last, slow, fast)), air
 
@@ -146,10 +166,10 @@ class SlowDown(FixedPolicy):
     begin: float = 10.0
     end: float = 45.0
 
-    def targets(self, seen: dict[str, FloatArray], memory: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def targets(self, measured: dict[str, FloatArray], memory: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Linear between the two lengths."""
-        feed = np.interp(seen["inserted_length"], (self.begin, self.end), (self.fast, self.slow))
-        return np.asarray(feed), np.full_like(seen["time"], self.air_supply_rate)
+        feed = np.interp(measured["inserted_length"], (self.begin, self.end), (self.fast, self.slow))
+        return np.asarray(feed), np.full_like(measured["time"], self.air_supply_rate)
 
 
 @dataclass
@@ -162,9 +182,9 @@ class OnOff(FixedPolicy):
     air_supply_rate: float = 100.0 / 3600.0
     memory: ClassVar[int] = 1
 
-    def targets(self, seen: dict[str, FloatArray], memory: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def targets(self, measured: dict[str, FloatArray], memory: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Memory: 1 while slow."""
-        loud, quiet = seen["rf_noise"] > self.level, seen["rf_noise"] < 0.5 * self.level
+        loud, quiet = measured["rf_noise"] > self.level, measured["rf_noise"] < 0.5 * self.level
         memory[:, 0] = np.where(loud, 1.0, np.where(quiet, 0.0, memory[:, 0]))
         feed = np.where(memory[:, 0] > 0.5, self.slow, self.fast)
         return feed, np.full_like(feed, self.air_supply_rate)
@@ -184,9 +204,9 @@ class PI(FixedPolicy):
         """Memory: logarithm of the feed speed that the integral has come to."""
         memory[:, 0] = np.log(STUDY_FEED)
 
-    def targets(self, seen: dict[str, FloatArray], memory: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def targets(self, measured: dict[str, FloatArray], memory: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Integral held within the range of the feed, so that it does not wind up."""
-        error = np.clip(np.log(self.level / seen["rf_noise"]), -2.0, 1.0)
+        error = np.clip(np.log(self.level / measured["rf_noise"]), -2.0, 1.0)
         low, high = np.log(self.config.feed_speeds)
         memory[:, 0] = np.clip(memory[:, 0] + self.integral * self.config.period * error, low, high)
         feed = np.exp(memory[:, 0] + self.proportional * error)
@@ -199,10 +219,10 @@ class Random(FixedPolicy):
 
     seed: int = 0
 
-    def targets(self, seen: dict[str, FloatArray], memory: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def targets(self, measured: dict[str, FloatArray], memory: FloatArray) -> tuple[FloatArray, FloatArray]:
         """From time and measured length, so that it depends neither on company nor on history."""
-        shares = np.empty((2, len(seen["time"])))
-        for k, (time, noise) in enumerate(zip(seen["time"], seen["rf_noise"], strict=True)):
+        shares = np.empty((2, len(measured["time"])))
+        for k, (time, noise) in enumerate(zip(measured["time"], measured["rf_noise"], strict=True)):
             entropy = [self.seed, round(time * 1e3), int(np.float64(noise).view(np.uint64))]
             shares[:, k] = np.random.default_rng(entropy).uniform(size=2)
         return value_at(shares[0], self.config.feed_speeds), value_at(shares[1], self.config.air_supply_rates)

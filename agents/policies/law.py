@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import Field, FiniteFloat, model_validator
 from pydantic_core import PydanticCustomError
 
-from agents.policies.fixed import FixedPolicy
+from agents.policies.fixed import FixedPolicy, gain
 from agents.policies.policy import Domain, RangesOfTubes, read_model
 from probe_env import Scene
 from probe_env.arrays import FloatArray
@@ -81,10 +81,10 @@ class Law(Model):
             length: (n,) inserted [m].
             diameter: (n,) of the helix [m].
         """
-        known = np.array([table.helix_diameter for table in self.tables])
+        diameters = np.array([table.helix_diameter for table in self.tables])
         targets = np.empty((2, len(friction)))
         for k, (mu, place, d) in enumerate(zip(friction, length, diameter, strict=True)):
-            table = self.tables[int(np.abs(known - d).argmin())]
+            table = self.tables[int(np.abs(diameters - d).argmin())]
             for row, values in enumerate((table.feed_speed, table.air_supply_rate)):
                 column = [np.interp(place, self.inserted_length, line) for line in values]
                 targets[row, k] = np.interp(mu, self.friction, column)
@@ -99,6 +99,7 @@ class Lawful(FixedPolicy):
     average: float = 15.0
     """Time constant of the friction's average [s]."""
     memory: ClassVar[int] = 1
+    needs: ClassVar[tuple[str, ...]] = ("root_tension",)
 
     @property
     def domain(self) -> Domain:
@@ -110,18 +111,12 @@ class Lawful(FixedPolicy):
         """Memory: the friction."""
         memory[:, 0] = np.median(self.law.friction)
 
-    def targets(self, seen: dict[str, FloatArray], memory: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Of the averaged friction.
-
-        Raises:
-            ValueError: the task does not show the root tension.
-        """
-        if "root_tension" not in seen:
-            raise ValueError("a feedback law needs a task that shows the root tension")
-        friction = friction_from_tension({name: seen[name] for name in MEASURED}, self.config.scene)
-        gain = 1.0 - np.exp(-self.config.period / self.average)
-        memory[:, 0] += gain * (np.clip(friction, self.law.friction[0], self.law.friction[-1]) - memory[:, 0])
-        return self.law.at(memory[:, 0], seen["inserted_length"], seen["helix_diameter"])
+    def targets(self, measured: dict[str, FloatArray], memory: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Of the averaged friction."""
+        friction = friction_from_tension({name: measured[name] for name in MEASURED}, self.config.scene)
+        credible = np.clip(friction, self.law.friction[0], self.law.friction[-1])
+        memory[:, 0] += gain(self.config, self.average) * (credible - memory[:, 0])
+        return self.law.at(memory[:, 0], measured["inserted_length"], measured["helix_diameter"])
 
     def describe(self) -> dict[str, Any]:
         """With a hash of the law."""

@@ -1,7 +1,11 @@
-"""Policies on the vibration map: with the true tube, with friction from the tension, or with a shifted map."""
+"""Policies on the vibration map: the best schedule for a tube, on a grid of feed and air at every few metres.
+
+The tube is the true one, or that of the friction which the root tension suggests, with the map shifted or not.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from functools import lru_cache
 from pathlib import Path
@@ -9,23 +13,112 @@ from typing import Any, ClassVar, Final
 
 import numpy as np
 
-from agents.policies.fixed import FixedPolicy
-from agents.policies.lookup import LEAST_AIR, looked_up
+from agents.policies.fixed import FixedPolicy, gain
 from agents.policies.policy import Domain
-from probe_env import Context
+from probe_env import Context, Scene
 from probe_env.arrays import FloatArray
 from probe_env.envs.contexts import HELIX_DIAMETERS
 from probe_env.envs.task import TaskConfig
-from probe_env.envs.task.observations import RF_FLOOR
-from probe_env.envs.vibration_map import CONTEXT, VibrationMap, stored_map
+from probe_env.envs.task.scales import RF_FLOOR
+from probe_env.envs.vibration_map import (
+    CONTEXT,
+    VibrationMap,
+    check_measure,
+    equivalent_air,
+    expected_cost,
+    feeds,
+    stored_map,
+)
 from probe_env.physics.closed_forms import MEASURED, friction_from_tension
 from probe_env.physics.model.chain import air_speed
 from probe_env.schedule import Schedule
 
+SPACING: Final = 2.5  # [m] between knots
+FIRST: Final = 5.0  # [m], the length at which an insertion begins
+LEAST_AIR: Final = 45.0 / 3600.0
+"""[m3/s] on table 2; below it the root tension of a training tube came near the 0.8 N that the rising straight part
+needs."""
+USUAL: Final = Scene()
 FRICTIONS: Final = (0.08, 0.27)
 FRICTION_STEP: Final = 0.005
 SHIFTS: Final = (-1.5, 1.0)
 SHIFT_STEP: Final = 0.1
+
+
+def knots(config: TaskConfig) -> FloatArray:
+    """(k,) inserted lengths [m] at which a schedule is picked."""
+    return np.arange(FIRST, config.scene.tube.helix_length + 1.0, SPACING)
+
+
+def least_air(config: TaskConfig) -> float:
+    """The least air [m3/s] that schedules blow: what pulls a still probe as ``LEAST_AIR`` does on table 2."""
+    equal = float(equivalent_air(np.array([LEAST_AIR]), np.zeros(1), USUAL, config.scene)[0])
+    return float(np.clip(equal, *config.air_supply_rates))
+
+
+@lru_cache(maxsize=64)
+def grid(config: TaskConfig) -> tuple[FloatArray, FloatArray]:
+    """(g,) feed speeds [m/s] and air supplies [m3/s] that a best schedule is picked from."""
+    air = np.linspace(least_air(config), config.air_supply_rates[1], 12)
+    feed, blown = np.meshgrid(np.geomspace(*feeds(config), 32), air, indexing="ij")
+    return feed.ravel(), blown.ravel()
+
+
+def expected_costs(
+    contexts: FloatArray, config: TaskConfig, shift: float = 0.0, vibration: VibrationMap | None = None
+) -> FloatArray:
+    """(contexts, knots, g) expected cost of a metre at every knot, for every feed and air of the grid.
+
+    ``shift`` [decades] is by how much more the probe vibrates than the map says; default: the shipped map.
+    """
+    count, vibration = len(knots(config)), vibration or stored_map()
+    check_measure(vibration, config)
+    feed, air = (np.tile(column, count) for column in grid(config))
+    costs = []
+    for context in contexts:
+        mean, deviation = _grid_vibration(tuple(map(float, context)), config, vibration)
+        costs.append(expected_cost(mean + shift, deviation, feed, air, config).reshape(count, -1))
+    return np.array(costs)
+
+
+@lru_cache(maxsize=256)
+def _grid_vibration(
+    context: tuple[float, ...], config: TaskConfig, vibration: VibrationMap
+) -> tuple[FloatArray, FloatArray]:
+    """Mean and deviation (knots * g,) of the decadic logarithm of the vibration in one tube."""
+    feed, air = grid(config)
+    places = knots(config)
+    lengths, count = np.repeat(places, len(feed)), len(places)
+    tube = np.tile(context, (len(lengths), 1))
+    return vibration.predict(lengths, np.tile(feed, count), np.tile(air, count), tube, config.scene)
+
+
+@lru_cache(maxsize=4096)
+def best_schedule_for(
+    context: Context, config: TaskConfig, shift: float = 0.0, vibration: VibrationMap | None = None
+) -> Schedule:
+    """Schedule over inserted length with the least expected cost on one tube: the best of the grid at every knot.
+
+    ``shift`` [decades] is by how much more the probe vibrates than the map says; default: the shipped map.
+    """
+    values = np.array([[getattr(context, name) for name in CONTEXT]])
+    best = expected_costs(values, config, shift, vibration)[0].argmin(axis=1)
+    feed, air = (column[best] for column in grid(config))
+    places = tuple(map(float, knots(config)))
+    return Schedule("inserted_length", "linear", places, tuple(map(float, feed)), tuple(map(float, air)))
+
+
+def looked_up(
+    tubes: Sequence[Context],
+    length: FloatArray,
+    config: TaskConfig,
+    vibration: VibrationMap,
+    shifts: Sequence[float] | None = None,
+) -> tuple[FloatArray, FloatArray]:
+    """Feed speed [m/s] and air supply [m3/s], (N,) each, of the best schedules for tubes at inserted lengths [m]."""
+    rows = zip(tubes, shifts or [0.0] * len(tubes), length, strict=True)
+    pairs = [best_schedule_for(tube, config, shift, vibration).at(at) for tube, shift, at in rows]
+    return np.array([float(feed) for feed, _ in pairs]), np.array([float(air) for _, air in pairs])
 
 
 @dataclass
@@ -34,11 +127,11 @@ class ByDiameter(FixedPolicy):
 
     schedules: dict[float, Schedule] = field(default_factory=dict)
 
-    def targets(self, seen: dict[str, FloatArray], memory: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def targets(self, measured: dict[str, FloatArray], memory: FloatArray) -> tuple[FloatArray, FloatArray]:
         """What the schedule of the diameter says for the inserted length."""
-        known = np.array(list(self.schedules))
-        nearest = [known[np.abs(known - d).argmin()] for d in seen["helix_diameter"]]
-        pairs = [self.schedules[d].at(place) for d, place in zip(nearest, seen["inserted_length"], strict=True)]
+        diameters = np.array(list(self.schedules))
+        nearest = [diameters[np.abs(diameters - d).argmin()] for d in measured["helix_diameter"]]
+        pairs = [self.schedules[d].at(place) for d, place in zip(nearest, measured["inserted_length"], strict=True)]
         return np.array([float(feed) for feed, _ in pairs]), np.array([float(air) for _, air in pairs])
 
     @classmethod
@@ -61,8 +154,8 @@ class MapPolicy(FixedPolicy):
 
     def describe(self) -> dict[str, Any]:
         """With a hash of the map."""
-        own = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("config", "vibration")}
-        return {"policy": type(self).__name__, **own, "map": self.vibration.digest, "least_air": LEAST_AIR}
+        settings = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("config", "vibration")}
+        return {"policy": type(self).__name__, **settings, "map": self.vibration.digest, "least_air": LEAST_AIR}
 
 
 @dataclass
@@ -71,19 +164,14 @@ class Privileged(MapPolicy):
 
     vibration_weight: float | None = None
     """Weight that the schedule is best for; default: the task's."""
+    needs: ClassVar[tuple[str, ...]] = ("friction",)
 
-    def targets(self, seen: dict[str, FloatArray], memory: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Looked up in the map.
-
-        Raises:
-            ValueError: the task does not show friction, contact stiffness and drag.
-        """
-        if "friction" not in seen:
-            raise ValueError("the privileged policy needs a task with privileged = true")
-        tubes = np.column_stack([seen[name] for name in CONTEXT]).astype(np.float32)
+    def targets(self, measured: dict[str, FloatArray], memory: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Looked up in the map."""
+        tubes = np.column_stack([measured[name] for name in CONTEXT]).astype(np.float32)
         contexts = [_context(*map(float, tube)) for tube in tubes]
         config = _weighted(self.config, self.vibration_weight)
-        return looked_up(contexts, seen["inserted_length"], config, self.vibration)
+        return looked_up(contexts, measured["inserted_length"], config, self.vibration)
 
 
 @dataclass
@@ -96,32 +184,22 @@ class TensionScheduled(MapPolicy):
     vibration_weight: float | None = None
     """Weight that the schedule is best for; default: the task's."""
     memory: ClassVar[int] = 1
+    needs: ClassVar[tuple[str, ...]] = ("root_tension",)
 
     def start(self, memory: FloatArray) -> None:
         """Memory: the estimate."""
         memory[:, 0] = self.prior
 
-    def targets(self, seen: dict[str, FloatArray], memory: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Stiffness and drag are taken as the scene's.
-
-        Raises:
-            ValueError: the task does not show the root tension.
-        """
-        self.check(seen)
-        known = {name: seen[name] for name in MEASURED}  # the probe is taken as the scene's
-        tubes = self.tubes(friction_from_tension(known, self.config.scene), seen["helix_diameter"], memory)
+    def targets(self, measured: dict[str, FloatArray], memory: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Stiffness, drag and probe are taken as the scene's."""
+        without_probe = {name: measured[name] for name in MEASURED}
+        tubes = self.tubes(friction_from_tension(without_probe, self.config.scene), measured["helix_diameter"], memory)
         config = _weighted(self.config, self.vibration_weight)
-        return looked_up(tubes, seen["inserted_length"], config, self.vibration)
-
-    def check(self, seen: dict[str, FloatArray]) -> None:
-        """Whether the task shows what it looks at."""
-        if "root_tension" not in seen:
-            raise ValueError("the tension-scheduled and adaptive policies need a task that shows the root tension")
+        return looked_up(tubes, measured["inserted_length"], config, self.vibration)
 
     def tubes(self, friction: FloatArray, helix_diameter: FloatArray, memory: FloatArray) -> list[Context]:
         """Tubes (N,) of the averaged friction, which ``memory`` keeps; rounded so that few schedules are searched."""
-        gain = 1.0 - np.exp(-self.config.period / self.average)
-        memory[:, 0] += gain * (np.clip(friction, *FRICTIONS) - memory[:, 0])
+        memory[:, 0] += gain(self.config, self.average) * (np.clip(friction, *FRICTIONS) - memory[:, 0])
         rounded = np.round(memory[:, 0] / FRICTION_STEP) * FRICTION_STEP
         pairs = zip(rounded, helix_diameter, strict=True)
         return [Context(friction=round(float(mu), 4), helix_diameter=round(float(d), 3)) for mu, d in pairs]
@@ -147,38 +225,34 @@ class Adaptive(TensionScheduled):
         """Tubes of the map, with any probe."""
         return Domain.of_map(self.vibration, any_probe=True)
 
-    def targets(self, seen: dict[str, FloatArray], memory: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Looked up in the shifted map. Memory: the friction estimate, the shift [decades], feed and air.
-
-        Raises:
-            ValueError: the task does not show the root tension.
-        """
-        self.check(seen)
-        tubes = self.tubes(friction_from_tension(seen, self.config.scene), seen["helix_diameter"], memory)
-        gain = 1.0 - np.exp(-self.config.period / self.shift_average)
-        memory[:, 1] += gain * (np.clip(self._louder(seen, tubes), *SHIFTS) - memory[:, 1])
+    def targets(self, measured: dict[str, FloatArray], memory: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Looked up in the shifted map. Memory: the friction estimate, the shift [decades], feed and air."""
+        tubes = self.tubes(friction_from_tension(measured, self.config.scene), measured["helix_diameter"], memory)
+        memory[:, 1] += gain(self.config, self.shift_average) * (
+            np.clip(self._shift(measured, tubes), *SHIFTS) - memory[:, 1]
+        )
         rounded = np.round(memory[:, 1] / SHIFT_STEP) * SHIFT_STEP
         shifts = [round(float(decades), 4) for decades in rounded]
         config = _weighted(self.config, self.vibration_weight)
-        feed, air = looked_up(tubes, seen["inserted_length"], config, self.vibration, shifts)
-        wanted = np.column_stack([feed, np.clip(self._taut(seen), air, self.config.air_supply_rates[1])])
-        applied = np.column_stack([seen["feed_speed"], seen["air_supply_rate"]])
-        acted = np.where(memory[:, 2:] > 0.0, memory[:, 2:], applied)
-        memory[:, 2:] = acted + (1.0 - np.exp(-self.config.period / self.smoothing)) * (wanted - acted)
+        feed, air = looked_up(tubes, measured["inserted_length"], config, self.vibration, shifts)
+        goal = np.column_stack([feed, np.clip(self._taut(measured), air, self.config.air_supply_rates[1])])
+        applied = np.column_stack([measured["feed_speed"], measured["air_supply_rate"]])
+        before = np.where(memory[:, 2:] > 0.0, memory[:, 2:], applied)
+        memory[:, 2:] = before + gain(self.config, self.smoothing) * (goal - before)
         return memory[:, 2], memory[:, 3]
 
-    def _louder(self, seen: dict[str, FloatArray], tubes: list[Context]) -> FloatArray:
+    def _shift(self, measured: dict[str, FloatArray], tubes: list[Context]) -> FloatArray:
         """Measured vibration (N,) over the map's, in decades."""
         values = np.array([[getattr(tube, name) for name in CONTEXT] for tube in tubes])
-        length, feed, air = (seen[name] for name in ("inserted_length", "feed_speed", "air_supply_rate"))
-        expected = 10.0 ** self.vibration.tells(length, feed, air, values, self.config.scene)[0] * 1e-4
-        return np.asarray(np.log10(seen["rf_noise"] / np.hypot(expected, RF_FLOOR)))
+        length, feed, air = (measured[name] for name in ("inserted_length", "feed_speed", "air_supply_rate"))
+        expected = 10.0 ** self.vibration.predict(length, feed, air, values, self.config.scene)[0] * 1e-4
+        return np.asarray(np.log10(measured["rf_noise"] / np.hypot(expected, RF_FLOOR)))
 
-    def _taut(self, seen: dict[str, FloatArray]) -> FloatArray:
+    def _taut(self, measured: dict[str, FloatArray]) -> FloatArray:
         """Air supply (N,) [m3/s] for the least tension, which goes with the square of the wind."""
-        no_wind = seen["feed_speed"] / air_speed(self.config.scene, 1.0)
-        tension = np.maximum(seen["root_tension"], 0.1 * self.least_tension)
-        return np.asarray(no_wind + (seen["air_supply_rate"] - no_wind) * np.sqrt(self.least_tension / tension))
+        no_wind = measured["feed_speed"] / air_speed(self.config.scene, 1.0)
+        tension = np.maximum(measured["root_tension"], 0.1 * self.least_tension)
+        return np.asarray(no_wind + (measured["air_supply_rate"] - no_wind) * np.sqrt(self.least_tension / tension))
 
 
 @lru_cache

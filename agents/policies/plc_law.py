@@ -16,8 +16,8 @@ from typing import Annotated, Any, ClassVar, Final, Self
 
 import numpy as np
 
-from agents.policies.fixed import FixedPolicy
-from agents.policies.lookup import least_air
+from agents.policies.fixed import FixedPolicy, gain
+from agents.policies.on_map import least_air
 from agents.policies.policy import Domain, read_model
 from probe_env import Scene
 from probe_env.arrays import FloatArray
@@ -87,7 +87,7 @@ class PlantData(Model):
     feed_speeds: tuple[float, float]
     """[m/s]."""
     air_supply_rates: tuple[float, float]
-    """[m3/s], the least that schedules blow, see ``lookup.least_air``, and the most."""
+    """[m3/s], the least that schedules blow, see ``on_map.least_air``, and the most."""
 
     @classmethod
     def of(cls, config: Any) -> Self:
@@ -119,19 +119,19 @@ def read_trim(path: str | Path = STORED_TRIM) -> Trim:
     return read_model(path, Trim, "the constants of a trim", "trim")
 
 
-def friction_of(tension: FloatArray, seen: dict[str, FloatArray], plant: PlantData) -> FloatArray:
+def friction_of(tension: FloatArray, measured: dict[str, FloatArray], plant: PlantData) -> FloatArray:
     """Friction (n,) of steady sliding by elementary operations: y = (1 - exp(-x)) / x by Newton, x = mu' L / r.
 
     y is the tension over what the drag would pull without friction.
     """
-    length = np.maximum(seen["inserted_length"], SHORTEST)
-    wind = plant.air_speed_per_supply * seen["air_supply_rate"] - seen["feed_speed"]
+    length = np.maximum(measured["inserted_length"], SHORTEST)
+    wind = plant.air_speed_per_supply * measured["air_supply_rate"] - measured["feed_speed"]
     share = np.clip(tension / np.maximum(plant.drag * wind * wind * length, 1e-6), 0.01, 0.95)
     x = 1.0 / share
     for _ in range(ITERATIONS):
         fallen = np.exp(-x)
         x = x - (x * share - 1.0 + fallen) / (share - fallen)
-    diameter = seen["helix_diameter"]
+    diameter = measured["helix_diameter"]
     friction = x * 0.5 * diameter / length / (1.0 - plant.float_diameter / diameter)
     return np.asarray(np.clip(friction, *CREDIBLE))
 
@@ -148,8 +148,8 @@ def law_at(
     """
     c = constants
     inserted, friction, noise, diameter = averaged[0], averaged[1] / FRICTION, averaged[2], averaged[3] / DIAMETER
-    louder = np.clip(c.shift * (noise - np.log(c.quiet)), -MOST_SHIFT, MOST_SHIFT)
-    length = inserted * np.exp(louder)
+    shift = np.clip(c.shift * (noise - np.log(c.quiet)), -MOST_SHIFT, MOST_SHIFT)
+    length = inserted * np.exp(shift)
     onset = c.onset_length * friction**-c.onset_friction * diameter**c.onset_diameter
     slow = c.slow_feed * (np.maximum(length, 0.1) / LENGTH) ** -c.slow_length * friction**-c.slow_friction
     slow = np.clip(slow * diameter**c.slow_diameter, *plant.feed_speeds)
@@ -163,8 +163,10 @@ class PlcLaw(FixedPolicy):
 
     constants: Constants = field(default_factory=read_constants)
     memory: ClassVar[int] = 2
+    needs: ClassVar[tuple[str, ...]] = ("root_tension",)
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         self._plant = PlantData.of(self.config)
 
     @property
@@ -176,19 +178,13 @@ class PlcLaw(FixedPolicy):
         """Memory: usual friction, and noise that shifts nothing."""
         memory[:] = FRICTION, np.log(self.constants.quiet)
 
-    def targets(self, seen: dict[str, FloatArray], memory: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """By length, tension, noise and helix diameter.
-
-        Raises:
-            ValueError: the task does not show the root tension.
-        """
-        if "root_tension" not in seen:
-            raise ValueError("the PLC's law needs a task that shows the root tension")
+    def targets(self, measured: dict[str, FloatArray], memory: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """By length, tension, noise and helix diameter."""
         c, plant = self.constants, self._plant
-        gain = 1.0 - np.exp(-self.config.period / c.average)
-        memory[:, 0] += gain * (friction_of(seen["root_tension"], seen, plant) - memory[:, 0])
-        memory[:, 1] += gain * (np.log(np.maximum(seen["rf_noise"], 1e-7)) - memory[:, 1])
-        return law_at(c, plant, (seen["inserted_length"], memory[:, 0], memory[:, 1], seen["helix_diameter"]))
+        weight = gain(self.config, c.average)
+        memory[:, 0] += weight * (friction_of(measured["root_tension"], measured, plant) - memory[:, 0])
+        memory[:, 1] += weight * (np.log(np.maximum(measured["rf_noise"], 1e-7)) - memory[:, 1])
+        return law_at(c, plant, (measured["inserted_length"], memory[:, 0], memory[:, 1], measured["helix_diameter"]))
 
     def describe(self) -> dict[str, Any]:
         """With its constants."""
@@ -207,16 +203,14 @@ class TrimmedLaw(PlcLaw):
         super().start(memory[:, : PlcLaw.memory])
         memory[:, PlcLaw.memory :] = np.log(UNKNOWN_NOISE), 0.0
 
-    def targets(self, seen: dict[str, FloatArray], memory: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def targets(self, measured: dict[str, FloatArray], memory: FloatArray) -> tuple[FloatArray, FloatArray]:
         """The law's, with the feed past the onset trimmed."""
-        feed, air = super().targets(seen, memory[:, : PlcLaw.memory])
+        feed, air = super().targets(measured, memory[:, : PlcLaw.memory])
         noise, trim = memory[:, -2], memory[:, -1]
-        period = self.config.period
-        gain = 1.0 - np.exp(-period / NOISE_AVERAGE)
-        noise += gain * (np.log(np.maximum(seen["rf_noise"], 1e-7)) - noise)
+        noise += gain(self.config, NOISE_AVERAGE) * (np.log(np.maximum(measured["rf_noise"], 1e-7)) - noise)
         past = air > self._plant.air_supply_rates[0]  # the onset
         short = np.clip(np.log(self.trim.aim) - noise, -LOWERED, RAISED)
-        trim += np.where(past, period / self.trim.time * short, 0.0)
+        trim += np.where(past, self.config.period / self.trim.time * short, 0.0)
         np.clip(trim, -MOST_TRIM, MOST_TRIM, out=trim)
         trimmed = np.clip(feed * np.exp(trim), *self._plant.feed_speeds)
         return np.where(past, trimmed, feed), air

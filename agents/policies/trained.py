@@ -1,17 +1,41 @@
-"""Prints the trained agents that ship, read from their bundles and training files without torch."""
+"""Reads bundles of trained agents without torch, and prints those that ship."""
 
 from __future__ import annotations
 
 import json
+from pathlib import Path
+from typing import Any, Final
+
+import numpy.typing as npt
+import safetensors.numpy
+from safetensors import SafetensorError
 
 from agents.policies.view import View
-from agents.records.arrays import read_weights
 from agents.records.shipped import DEFAULT_SEED, agent_file, file_or_shipped, shipped_agents
 from agents.terminal.tables import print_terms
 from probe_env.envs.task import TaskConfig
-from probe_env.envs.task.observations import PROBE
-from probe_env.files import FileError, read_toml
+from probe_env.envs.task.scales import PROBE
+from probe_env.files import MEBI, FileError, read_bytes, read_toml
 from probe_env.settings import tuples
+
+MOST_BYTES: Final = 512 * MEBI
+RESTORE: Final = "restore the file, or train again"
+
+
+def read_weights(path: Path) -> tuple[str, str, dict[str, npt.NDArray[Any]]]:
+    """Description (JSON text), hash and weights of an agent's bundle.
+
+    Raises:
+        FileNotFoundError: no such file.
+        FileError: not a safetensors file with such a description.
+    """
+    content = read_bytes(path, MOST_BYTES)
+    try:
+        weights = safetensors.numpy.load(content)  # checks the header, which begins with its length
+        metadata = json.loads(content[8 : 8 + int.from_bytes(content[:8], "little")])["__metadata__"]
+        return metadata["description"], metadata["hash"], weights
+    except (SafetensorError, ValueError, KeyError, TypeError) as error:
+        raise FileError(path, f"not an agent's bundle (.safetensors): {error} - {RESTORE}") from error
 
 
 def print_agents() -> None:

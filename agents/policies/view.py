@@ -13,7 +13,8 @@ from pydantic_core import PydanticCustomError
 
 from agents.policies.plc_law import Constants, PlcLaw, read_constants
 from probe_env.envs.task import TaskConfig, action_of, share_between, share_of, value_at
-from probe_env.envs.task.observations import OBSERVATIONS, in_si_units
+from probe_env.envs.task.observations import in_si_units
+from probe_env.envs.task.scales import OBSERVATIONS
 from probe_env.physics.closed_forms import MEASURED, SHAPE, friction_from_tension
 from probe_env.settings import Model, quantity
 
@@ -22,9 +23,9 @@ TimeConstant = Annotated[float, quantity(0.1, 1e4, "s")]
 CREDIBLE, MIDDLE, HALF_RANGE = (0.05, 0.35), 0.175, 0.075
 
 
-def guide_of(given: Any) -> Any:
+def guide_of(guide: Any) -> Any:
     """The constants of a law that is named: kept with the agent, whatever becomes of the shipped ones."""
-    return read_constants() if given == "plc-law" else given
+    return read_constants() if guide in ("plc-proportional", "plc-law") else guide
 
 
 class View(Model):
@@ -98,24 +99,24 @@ class View(Model):
             memory: what the last call returned, averages and what the guide remembers; None: all episodes are new.
             new: (N,) where an episode begins.
         """
-        seen = np.asarray(rows, dtype=np.float32)[:, self.columns(config)]
+        visible = np.asarray(rows, dtype=np.float32)[:, self.columns(config)]
         if self.friction_estimate:
             names = [*MEASURED, *(name for name in SHAPE if name in self.observations)]
             physical = in_si_units(config, np.asarray(rows))
             friction = friction_from_tension({name: physical[name] for name in names}, config.scene)
             scaled = (np.clip(friction, *CREDIBLE) - MIDDLE) / HALF_RANGE
-            seen = np.column_stack([seen, scaled]).astype(np.float32)
-        repeated = np.tile(seen, len(self.averages))
+            visible = np.column_stack([visible, scaled]).astype(np.float32)
+        repeated = np.tile(visible, len(self.averages))
         width = repeated.shape[1]
-        averages = repeated if memory is None else memory[:, :width]
-        gains = np.repeat(-np.expm1(-config.period / np.array(self.averages)), seen.shape[1]).astype(np.float32)
-        kept = np.where(new[:, None], repeated, averages + gains * (repeated - averages)).astype(np.float32)
+        before = repeated if memory is None else memory[:, :width]
+        gains = np.repeat(-np.expm1(-config.period / np.array(self.averages)), visible.shape[1]).astype(np.float32)
+        averages = np.where(new[:, None], repeated, before + gains * (repeated - before)).astype(np.float32)
         if self.guide is None:
-            return np.concatenate([seen, kept], axis=1), kept
+            return np.concatenate([visible, averages], axis=1), averages
         remembered = None if memory is None else (memory[:, width:],)
         guide, (remembers,) = _guide(config, self.guide).predict(np.asarray(rows), remembered, new)
-        acted = self.agent_actions(config, guide)
-        return np.concatenate([seen, kept, acted], axis=1), np.concatenate([kept, remembers], axis=1)
+        correctable = self.agent_actions(config, guide)
+        return np.concatenate([visible, averages, correctable], axis=1), np.concatenate([averages, remembers], axis=1)
 
     def guided(self, features: npt.NDArray[np.float32]) -> npt.NDArray[np.float32] | None:
         """(N, 2) what the guide would do, in the agent's terms, as features (N, size) say; None without a guide."""
@@ -132,8 +133,8 @@ class View(Model):
         linear = action_of(share_between(feed, config.feed_speeds))
         floor = self._air_floor(config)
         blown = floor + (1.0 - floor) * share[:, 1]
-        acted: npt.NDArray[np.float32] = np.column_stack([linear, action_of(blown)]).astype(np.float32)
-        return np.clip(acted, -1.0, 1.0)
+        encoded: npt.NDArray[np.float32] = np.column_stack([linear, action_of(blown)]).astype(np.float32)
+        return np.clip(encoded, -1.0, 1.0)
 
     def agent_actions(self, config: TaskConfig, actions: Rows, guided: Rows | None = None) -> npt.NDArray[np.float32]:
         """(N, 2) the inverse of ``env_actions``; what lies below its least feed or air becomes the least."""
@@ -143,9 +144,9 @@ class View(Model):
         logarithmic = action_of(np.log(feed / low) / np.log(high / low)) if self.logarithmic_feed else actions[:, 0]
         floor = self._air_floor(config)
         blown = (share[:, 1] - floor) / (1.0 - floor)
-        acted: npt.NDArray[np.float32] = np.column_stack([logarithmic, action_of(blown)]).astype(np.float32)
-        acted = np.clip(acted, -1.0, 1.0)
-        return acted if guided is None else np.clip(acted - guided, -1.0, 1.0).astype(np.float32)
+        encoded: npt.NDArray[np.float32] = np.column_stack([logarithmic, action_of(blown)]).astype(np.float32)
+        encoded = np.clip(encoded, -1.0, 1.0)
+        return encoded if guided is None else np.clip(encoded - guided, -1.0, 1.0).astype(np.float32)
 
     def _air_floor(self, config: TaskConfig) -> float:
         range_ = config.air_supply_rates

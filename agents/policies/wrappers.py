@@ -1,10 +1,10 @@
-"""Policies around a policy: a shield that keeps a margin of drive, a schedule for the withdrawal, a feed in steps."""
+"""Policies around a policy: a shield that keeps a margin of drive, a schedule for the withdrawal."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -14,13 +14,9 @@ from agents.policies.policy import Domain, Policy
 from probe_env.arrays import BoolArray, FloatArray
 from probe_env.envs.task import TaskConfig
 from probe_env.envs.task.observations import in_si_units
-from probe_env.fidelity import BOTH_WAYS, PRESETS, Fidelity, draws_back, resolve_fidelity
 from probe_env.physics.closed_forms import friction_from_tension, sliding_tension
 from probe_env.physics.model.chain import air_speed
 from probe_env.schedule import Schedule
-
-if TYPE_CHECKING:
-    from agents.policies.bundle import Agent
 
 PREFIX: Final = "shielded:"
 """Before a policy's name: with the shield."""
@@ -94,41 +90,39 @@ class Shielded(_Wrapper):
         if start is not None:
             friction = np.where(start, self.prior, friction)
         requested, inner = self.policy.predict(rows, inner, start, deterministic)
-        actions, seen = np.array(requested, dtype=np.float32), in_si_units(self.config, rows)
+        actions, measured = np.array(requested, dtype=np.float32), in_si_units(self.config, rows)
         gain = -np.expm1(-self.config.period / self.average)
-        friction = friction + gain * (np.clip(friction_from_tension(seen, self.config.scene), *FRICTIONS) - friction)
-        wanted = self.config.targets(actions, may_stand=True)
-        kept = self._kept(wanted, seen, friction)
-        changed = kept != wanted
-        actions[changed] = self.config.actions(*kept.T).astype(np.float32)[changed]
+        latest = np.clip(friction_from_tension(measured, self.config.scene), *FRICTIONS)
+        friction = friction + gain * (latest - friction)
+        targets = self.config.targets(actions, allow_standstill=True)
+        safe = self._safe(targets, measured, friction)
+        changed = safe != targets
+        actions[changed] = self.config.actions(*safe.T).astype(np.float32)[changed]
         return actions, (inner, friction)
 
     def describe(self) -> dict[str, Any]:
         """JSON-ready description."""
-        own = {"policy": type(self).__name__, "margin": self.margin, "average": self.average, "prior": self.prior}
-        return own | {"of": self.policy.describe()}
+        settings = {"margin": self.margin, "average": self.average, "prior": self.prior}
+        return {"policy": type(self).__name__, **settings, "of": self.policy.describe()}
 
-    def _kept(self, wanted: FloatArray, seen: dict[str, FloatArray], friction: FloatArray) -> FloatArray:
-        """(N, 2) feed speed [m/s] and air supply [m3/s] nearest to the requested ones that keep the margin."""
+    def _safe(self, targets: FloatArray, measured: dict[str, FloatArray], friction: FloatArray) -> FloatArray:
+        """(N, 2) feed speed [m/s] and air supply [m3/s] nearest to the targets (N, 2) that keep the margin."""
         config, air_speed_of_unit = self.config, air_speed(self.config.scene, 1.0)
-        still = {"feed_speed": np.zeros(len(wanted)), "air_supply_rate": np.full(len(wanted), 1.0 / air_speed_of_unit)}
-        in_unit_wind = sliding_tension(friction, seen | still, config.scene)
+        unit = {"feed_speed": 0.0 * friction, "air_supply_rate": np.full(len(targets), 1.0 / air_speed_of_unit)}
+        in_unit_wind = sliding_tension(friction, measured | unit, config.scene)
         needed = np.sqrt(self.margin * config.required_tension / in_unit_wind)
-        feed, air = wanted.T
+        feed, air = targets.T
         # the drive counts from a length on; until then the air must have come
         ahead = config.feed_speeds[1] * (LAGS_AHEAD * config.air_lag + (config.delay_periods + 1) * config.period)
-        short = (air * air_speed_of_unit - feed < needed) & (seen["inserted_length"] >= config.lost_drive_from - ahead)
+        short = (air * air_speed_of_unit - feed < needed) & (
+            measured["inserted_length"] >= config.lost_drive_from - ahead
+        )
         more = (needed + feed) / air_speed_of_unit
         if config.air_supply_step > 0.0:  # the next whole step, not the nearest
             more = config.air_supply_step * np.ceil(more / config.air_supply_step - 1e-9)
         more = np.clip(more, *config.air_supply_rates)
         slower = np.clip(more * air_speed_of_unit - needed, config.feed_speeds[0], None)
         return np.column_stack([np.where(short, np.minimum(feed, slower), feed), np.where(short, more, air)])
-
-
-def unshielded(spec: str) -> str:
-    """The spec of the policy behind the shield, if there is one."""
-    return spec.removeprefix(PREFIX)
 
 
 def fastest_back(config: TaskConfig) -> Schedule:
@@ -155,14 +149,14 @@ class BothWays(_Wrapper):
         self, rows: npt.NDArray[np.floating], state: Any, start: BoolArray | None, deterministic: bool
     ) -> tuple[npt.NDArray[np.float32], Any]:
         """Actions; in the withdrawal the inner policy gets feed, air and tension without signs, and is not heeded."""
-        names, seen = list(self.config.observations), in_si_units(self.config, rows)
-        back, shown = seen["way"] < 0.0, rows.copy()
+        names, measured = list(self.config.observations), in_si_units(self.config, rows)
+        back, visible = measured["way"] < 0.0, rows.copy()
         for column in (k for k, name in enumerate(names) if name in SIGNED):
-            shown[back, column] = np.abs(shown[back, column])
-        shown = np.delete(shown, names.index("way"), axis=1)
-        actions, state = self.forth.predict(shown, state, start, deterministic)
-        drawn = self.config.actions(*self.back.at(seen["inserted_length"])).astype(np.float32)
-        return np.where(back[:, None], drawn, np.atleast_2d(actions)), state
+            visible[back, column] = np.abs(visible[back, column])
+        visible = np.delete(visible, names.index("way"), axis=1)
+        actions, state = self.forth.predict(visible, state, start, deterministic)
+        withdrawal = self.config.actions(*self.back.at(measured["inserted_length"])).astype(np.float32)
+        return np.where(back[:, None], withdrawal, np.atleast_2d(actions)), state
 
     def describe(self) -> dict[str, Any]:
         """JSON-ready description."""
@@ -170,52 +164,6 @@ class BothWays(_Wrapper):
         return {"policy": type(self).__name__, "forth": self.forth.describe(), "back": way_back}
 
 
-@dataclass
-class InSteps(_Wrapper):
-    """An agent of both passes whose feed is rounded to the steps of the device that it was trained with.
-
-    Every change of the feed shakes a probe that is withdrawn, and the output of a network varies all the time.
-
-    Attributes:
-        config: the task that it acts in.
-        agent: made for this task.
-        step: of the feed [m/s].
-    """
-
-    config: TaskConfig
-    agent: Agent
-    step: float
-
-    @property
-    def domain(self) -> Domain:
-        """That of the agent."""
-        return self.agent.domain
-
-    def _act(
-        self, rows: npt.NDArray[np.floating], state: Any, start: BoolArray | None, deterministic: bool
-    ) -> tuple[npt.NDArray[np.float32], Any]:
-        actions, state = self.agent.predict(rows, state, start, deterministic)
-        feed, air = self.config.targets(np.atleast_2d(actions)).T
-        return self.config.actions(self.step * np.round(feed / self.step), air).astype(np.float32), state
-
-    def describe(self) -> dict[str, Any]:
-        """JSON-ready description."""
-        return {"policy": type(self).__name__, "step": self.step, "of": self.agent.describe()}
-
-
 def way_in(config: TaskConfig) -> TaskConfig:
     """The task of the insertion alone."""
     return config.model_copy(update={"passes": "in"})
-
-
-def fidelity_of(name: str) -> Fidelity:
-    """A fidelity that simulates the withdrawal by its name.
-
-    Raises:
-        ValueError: no such fidelity, or one that does not simulate the withdrawal.
-    """
-    presets = [preset for preset, settings in PRESETS.items() if draws_back(settings)]
-    known = (*BOTH_WAYS, *presets)
-    if name not in known:
-        raise ValueError(f"fidelity = {name!r} does not simulate the way back; give one of {', '.join(known)}")
-    return resolve_fidelity(name, both_ways=True)

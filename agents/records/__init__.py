@@ -1,4 +1,1 @@
-"""What is stored: rows and files enter whole, validated tables leave, and each knows what made it.
-
-Imports the terminal's names, ``probe_env``'s models and the list of methods; knows no policy.
-"""
+"""Files of rows, models, tables and manifests: written as a whole, validated when read, with what made them."""

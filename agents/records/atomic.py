@@ -20,7 +20,8 @@ def write_atomically(path: Path, content: str | bytes) -> None:
     Raises:
         ValueError: there is a folder of this name.
     """
-    check_is_no_folder(path)
+    if path.is_dir():
+        raise ValueError(f"{path} is a folder: give the name of a file to write")
     path.parent.mkdir(parents=True, exist_ok=True)
     _clean(path)
     begin = f".{path.name}.{os.getpid()}@{platform.node()}."
@@ -36,12 +37,6 @@ def write_atomically(path: Path, content: str | bytes) -> None:
         Path(temporary).unlink(missing_ok=True)
         raise
     note_file(path)
-
-
-def check_is_no_folder(path: Path) -> None:
-    """Raise ValueError if a folder is where a file is to be."""
-    if path.is_dir():
-        raise ValueError(f"{path} is a folder: give the name of a file to write")
 
 
 def _clean(path: Path) -> None:

@@ -35,7 +35,6 @@ def write_manifest(
     seeds: Iterable[int] = (),
     command: str | None = None,
     commits: Iterable[str] | None = None,
-    name: str = "manifest.json",
     **settings: Any,
 ) -> None:
     """Write the manifest of a result, after its files.
@@ -46,14 +45,13 @@ def write_manifest(
         seeds: of the result.
         command: default: that of this process.
         commits: of the rows that its tables hold; default: the present one.
-        name: of the manifest.
         settings: further fields, JSON-ready.
 
     Raises:
         FileNotFoundError: one of the files is not there.
     """
     hashes = {file: hashlib.sha256((folder / file).read_bytes()).hexdigest() for file in files}
-    write_json(folder / name, origin(command, commits) | {"seeds": list(seeds), "files": hashes} | settings)
+    write_json(folder / "manifest.json", origin(command, commits) | {"seeds": list(seeds), "files": hashes} | settings)
 
 
 def origin(command: str | None = None, commits: Iterable[str] | None = None) -> dict[str, Any]:
@@ -89,11 +87,8 @@ def _kernels() -> str:
     from llvmlite.binding import get_host_cpu_name
     from threadpoolctl import threadpool_info
 
-    blas = {
-        f"{pool['internal_api']} {pool.get('architecture', '')}"
-        for pool in threadpool_info()
-        if pool["user_api"] == "blas"
-    }
+    pools = (pool for pool in threadpool_info() if pool["user_api"] == "blas")
+    blas = {f"{pool['internal_api']} {pool.get('architecture', '')}" for pool in pools}
     target = os.environ.get("NUMBA_CPU_NAME") or get_host_cpu_name()
     return ", ".join([*sorted(blas), f"numba {target}"])
 
@@ -141,6 +136,4 @@ def _plain(data: Any) -> Any:
         return {key: _plain(value) for key, value in data.items()}
     if isinstance(data, list | tuple):
         return [_plain(value) for value in data]
-    if isinstance(data, float) and data != data:
-        return None
-    return data
+    return None if isinstance(data, float) and data != data else data

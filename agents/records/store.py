@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 import pandas as pd
+from joblib import Parallel, delayed
+from tqdm import tqdm
 
 from agents.records.atomic import write_atomically
 from agents.records.manifest import commit
-from agents.records.reading import FileError, read_csv
-from agents.records.tables import Columns
+from agents.records.tables import Columns, read_csv
+from agents.terminal.work import Work, announce
+from probe_env.files import FileError
 
+T = TypeVar("T")
+Row = Mapping[str, Any]
 COMMIT: Final = "commit"
 COLUMNS: Final[Columns] = {COMMIT: "text"}
 
@@ -60,10 +65,29 @@ class Store:
         """Whether a row with this key is stored."""
         return key in self._done
 
-    def add(self, *rows: Mapping[str, Any]) -> None:
+    def add(self, *rows: Row) -> None:
         """Add rows, which replace those with the same keys, and write the file."""
         new = pd.DataFrame([dict(row) | {COMMIT: present_commit()} for row in rows])
         table = new if self.table.empty else pd.concat([self.table, new], ignore_index=True)
         self.table = table.drop_duplicates(list(self.keys), keep="last", ignore_index=True)
         write_atomically(self.path, as_csv(self.table, 6))
         self._done.update(new[list(self.keys)].itertuples(index=False, name=None))
+
+    def fill(
+        self, runs: Mapping[tuple[Any, ...], T], rows_of: Callable[[T], Sequence[Row]], unit: str = "run", jobs: int = 1
+    ) -> pd.DataFrame:
+        """Add the rows of all runs that are not stored yet, as they end; returns the whole table.
+
+        Args:
+            runs: by the key of their last row.
+            rows_of: runs one of them and gives its rows.
+            unit: what a run is called.
+            jobs: threads, each with a run.
+        """
+        missing = [run for key, run in runs.items() if not self.has(*key)]
+        announce(Work(unit, len(runs), lambda: sum(self.has(*key) for key in runs), self.path))
+        parallel = Parallel(n_jobs=jobs, prefer="threads", return_as="generator_unordered")
+        work = parallel(delayed(rows_of)(run) for run in missing)
+        for rows in tqdm(work, total=len(missing), desc=self.path.stem, unit=unit, disable=not missing):
+            self.add(*rows)
+        return self.table

@@ -36,10 +36,6 @@ CURVE: Final[Columns] = {
     **dict.fromkeys(("validation_s", "wall_s", "kernel_s"), "number"),
 }  # fmt: skip
 """``learning.csv``."""
-COSTS: Final[Columns] = {
-    "method": "text", "nodes_per_pitch": "count", "carrier_length_m": "number", "ns_per_node_step": "number"
-}  # fmt: skip
-"""``chart/costs.csv``."""
 HASHES: Final = ("code", "commit")
 """Columns that are text although the digits of a hash may look like a number."""
 _NONE: Final[Columns] = MappingProxyType({})

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
+import pandas as pd
+
 from agents.evaluation.workers import Workers
+from agents.terminal.tables import print_table
 
 
 @dataclass(frozen=True)
@@ -45,53 +48,34 @@ class Request:
 
 
 class BuiltIn(NamedTuple):
-    """A study that is code: module and function that takes a ``Request``, and what it answers or makes."""
+    """A study that is code: the module whose ``run`` takes a ``Request``, and what it answers or makes."""
 
-    place: str
+    module: str
     question: str
 
-    @property
-    def run(self) -> Callable[[Request], Any]:
-        """The function."""
-        module, _, name = self.place.partition(":")
-        return getattr(import_module(module), name)  # type: ignore[no-any-return]
+    def run(self, request: Request) -> Any:
+        """Run what is not stored yet, write and print the results; returns them."""
+        return import_module(f"agents.studies.{self.module}").run(request)
 
 
-def claims(request: Request) -> None:
-    """The published study's claims; ``trials`` are perturbed runs of a case, any ``limit`` five cases."""
-    from agents.studies.claims import run_claims
-
-    request.without("tube")
-    run_claims(
-        request.output, request.budget("trials", 1, 1000), subset=request.limit is not None, jobs=request.workers.jobs
-    )
-
-
-def chart(request: Request) -> None:
-    """Accuracy against cost."""
-    from agents.studies.chart import run_chart
-
-    request.without("tube", "limit", "trials")
-    run_chart(request.output)
-
-
-def stability(request: Request) -> None:
-    """The map of time steps."""
-    from agents.studies.stability import run_stability
-
-    request.without("tube", "limit", "trials")
-    run_stability(request.output, jobs=request.workers.jobs)
-
-
-HERE: Final = "agents.studies"
 BUILT_IN: Final[dict[str, BuiltIn]] = {
-    "claims": BuiltIn(f"{HERE}.builtin:claims", "What of the published study's claims does the simulator confirm?"),
-    "chart": BuiltIn(f"{HERE}.builtin:chart", "Which method is how accurate at which cost?"),
-    "stability": BuiltIn(f"{HERE}.builtin:stability", "Which time steps hold, by method, stiffness and length?"),
-    "vibration-map": BuiltIn(f"{HERE}.shipped.vibration_map:run", "Makes the vibration map, also of your own tube."),
-    "best-schedules": BuiltIn(f"{HERE}.shipped.best_schedules:run", "Searches best-constant and best-schedule."),
-    "best-round-trip": BuiltIn(f"{HERE}.shipped.best_round_trip:run", "Searches feed and air in and back."),
-    "response": BuiltIn(f"{HERE}.shipped.response:run", "Makes the response that calibrations go by."),
-    "plc-constants": BuiltIn(f"{HERE}.shipped.plc_constants:run", "Searches the constants of plc-law, trimmed-law."),
+    "claims": BuiltIn("claims", "What of the published study's claims does the simulator confirm?"),
+    "chart": BuiltIn("chart", "Which method is how accurate at which cost?"),
+    "stability": BuiltIn("stability", "Which time steps hold, by method, stiffness and length?"),
+    "vibration-map": BuiltIn("shipped.vibration_map", "Makes the vibration map, also of your own tube."),
+    "best-schedules": BuiltIn("shipped.best_schedules", "Searches best-constant and best-schedule."),
+    "best-round-trip": BuiltIn("shipped.best_round_trip", "Searches feed and air in and back."),
+    "response": BuiltIn("shipped.response", "Makes the response that calibrations go by."),
+    "plc-constants": BuiltIn("shipped.plc_constants", "Searches the constants of the PLC laws."),
 }
 """Name -> study."""
+
+
+def print_frame(title: str, table: pd.DataFrame, columns: Sequence[str] = (), texts: int = 1) -> None:
+    """Print columns (default: all) of a table, numbers with three digits; the first ``texts`` stand to the left."""
+    chosen = list(columns or table.columns)
+    rows = [
+        [cell if isinstance(cell, str) else "-" if cell != cell else f"{cell:.3g}" for cell in row]
+        for row in table[chosen].to_numpy(dtype=object)
+    ]
+    print_table(title, chosen, rows, left=texts)

@@ -17,10 +17,10 @@ from pydantic import ValidationError
 from agents.evaluation.plan import BATCH, Plan, run_plan
 from agents.evaluation.statistics import grouped
 from agents.evaluation.workers import HERE, Workers
+from agents.policies.cases import EvaluationCase, case_of, map_of, plant_at, with_probe
 from agents.policies.catalogue import named_policies
 from agents.policies.fixed import Scheduled
 from agents.policies.law import Lawful
-from agents.policies.places import Place, map_of, place_of, plant_at, with_probe
 from agents.policies.policy import OutsideDomain, Policy
 from agents.policies.wrappers import BothWays
 from agents.studies.spec import Changes, Study
@@ -76,7 +76,7 @@ def run_study(settings: list[Setting], output: Path, workers: Workers = HERE) ->
     for number, setting in enumerate(settings, start=1):
         print(f"{number} of {len(settings)}: {', '.join(f'{k} = {v}' for k, v in setting.values.items())}", flush=True)
         # methods without lanes run episode by episode, so that each is stored as it ends
-        batch = BATCH if METHODS[setting.plan.fidelity.method].lanes else available_cores()
+        batch = BATCH if METHODS[setting.plan.fidelity.method].width > 1 else available_cores()
         table = run_plan(setting.plan, output / "episodes" / setting.folder, batch=batch, workers=workers)
         columns = pd.DataFrame([setting.members[name] for name in table["policy"]], index=table.index)
         tables.append(pd.concat([columns.assign(**setting.values), table.drop(columns="policy")], axis=1))
@@ -89,11 +89,12 @@ def _setting(study: Study, fidelity: str, changes: Changes) -> Setting:
         plant, update = plant_at(tube), _under("plant", study.set | changes)
         if update:
             plant = (plant or Plant()).model_copy(update=update)
-        place = place_of(plant, study.contexts, study.limit, map_of(tube, plant))
-        unvaried = _changed(place.config.all_shown, study.set)
+        place = case_of(plant, study.contexts, study.limit, map_of(tube, plant))
+        unvaried = _changed(place.config.full_observation, study.set)
         config = _changed(unvaried, changes)
         accuracy = resolve_fidelity(fidelity, config.scene, config.growing, config.returns)
-        accuracy = accuracy.model_copy(update=_under("fidelity", study.set | changes))
+        if update := _under("fidelity", study.set | changes):
+            accuracy = resolve_fidelity(accuracy.model_copy(update=update), config.scene, both_ways=config.returns)
         known = config if study.policies_know == "varied task" else unvaried
         policies, members = _policies(study, known, place, plant)
     except (ValueError, TypeError) as error:
@@ -139,7 +140,7 @@ def _value(name: str, changes: Changes, config: TaskConfig, fidelity: Fidelity) 
 
 
 def _policies(
-    study: Study, config: TaskConfig, place: Place, plant: Plant | None
+    study: Study, config: TaskConfig, place: EvaluationCase, plant: Plant | None
 ) -> tuple[dict[str, Policy], dict[str, Changes]]:
     """Policies by the names that the plan gives them, and their columns."""
     policies: dict[str, Policy] = {}
@@ -182,7 +183,7 @@ def _recommended(name: str, config: TaskConfig, plant: Plant | None) -> Policy:
     from agents.plant.recommendation import recommended, recommended_law
     from agents.plant.response import stored_response
 
-    tubes, response = place_of(plant, "train").contexts, stored_response()
+    tubes, response = case_of(plant, "train").contexts, stored_response()
     if name == "recommended":
         return Scheduled(config, recommended(tubes, response, config).schedule)
     return Lawful(config, law=recommended_law(tubes, response, config))

@@ -13,8 +13,8 @@ from pydantic import AfterValidator, BeforeValidator, Field, ValidationError, mo
 from pydantic_core import PydanticCustomError
 
 from agents.policies.bundle import ALGORITHMS, Algorithm, Network
+from agents.policies.cases import case_of, map_of
 from agents.policies.catalogue import make_policy
-from agents.policies.places import map_of, place_of
 from agents.policies.plc_law import Constants
 from agents.policies.policy import Policy
 from agents.policies.view import View, guide_of
@@ -97,7 +97,7 @@ class Training(Model):
     least_air_supply_rate: Annotated[float, quantity(0.0, 0.2, "m3/s")] = 0.0
     """The agent never blows less; 0: the task's own least."""
     guide: Annotated[Constants | None, BeforeValidator(guide_of)] = None
-    """A law that the agent corrects, "plc-law" or its ten constants; see ``View``."""
+    """A law that the agent corrects, "plc-proportional" or its ten constants; see ``View``."""
     learning: dict[str, int | float | bool] = Field(default_factory=dict)
     imitation: Imitation | None = None
     validation: Validation = Validation()
@@ -131,12 +131,13 @@ class Training(Model):
             raise PydanticCustomError("phases", "phases = 0 without [imitation] leaves nothing to train")
         if is_surrogate(self.validation.fidelity):
             raise PydanticCustomError("fidelity", "validation.fidelity = 'surrogate': agents are chosen by simulation")
-        for given in (self.environment.fidelity, self.validation.fidelity):
-            fidelity = resolve_fidelity(given, self.task.scene, both_ways=self.task.returns)
-            if fidelity.time_lapse > 1.0 and not self.task.growing:
+        task = self.task
+        trained = resolve_fidelity(self.environment.fidelity, task.scene, both_ways=task.returns)
+        for fidelity in (trained, self.validation_fidelity):
+            if fidelity.time_lapse > 1.0 and not task.growing:
                 raise PydanticCustomError("fidelity", "fidelity with time-lapse needs a growing probe: Insertion-v1")
-            whole_steps("task.period / fidelity.time_lapse", self.task.period / fidelity.time_lapse, fidelity.time_step)
-        self.view.columns(self.task)
+            whole_steps("task.period / fidelity.time_lapse", task.period / fidelity.time_lapse, fidelity.time_step)
+        self.view.columns(task)
         assert self.validated_in
         if self.imitation is not None:
             try:
@@ -162,12 +163,17 @@ class Training(Model):
         plant, named = self.environment.tube, self.environment.contexts
         if plant is None:
             return named
-        return plant.contexts(RANDOM_TUBES) if named == "random" else place_of(plant, named).contexts
+        return plant.contexts(RANDOM_TUBES) if named == "random" else case_of(plant, named).contexts
 
     @property
     def validated_in(self) -> tuple[Context, ...]:
         """Tubes in which the best model is chosen."""
-        return place_of(self.environment.tube, self.validation.contexts, self.validation.limit).contexts
+        return case_of(self.environment.tube, self.validation.contexts, self.validation.limit).contexts
+
+    @property
+    def validation_fidelity(self) -> Fidelity:
+        """Settings of the simulation in which the best model is chosen."""
+        return resolve_fidelity(self.validation.fidelity, self.task.scene, both_ways=self.task.returns)
 
     @property
     def vibration(self) -> VibrationMap | None:
@@ -180,7 +186,9 @@ class Training(Model):
         """Who is imitated first."""
         if self.imitation is None:
             return None
-        return make_policy(self.imitation.teacher, self.task.all_shown, self.vibration)  # may look at more than it
+        return make_policy(
+            self.imitation.teacher, self.task.full_observation, self.vibration
+        )  # may look at more than it
 
     @property
     def view(self) -> View:
@@ -253,12 +261,16 @@ def axes_of(training: Training) -> dict[str, Axis]:
         return USUAL[training.algorithm] | ({ROLLOUT: rollouts} if len(rollouts) > 1 else {})
     tables = [name for name in ("learning", "network", "imitation") if getattr(training, name) is not None]
     axes: dict[str, Axis] = {}
-    plain = training.model_copy(update={"search": None})
     for table, fields in training.search.items():
         if table not in tables:
             accepted = ", ".join(tables)
             raise _search_error(f".{table}", f"is nothing of this file that can be searched; accepted: {accepted}")
-        axes |= {f"{table}.{field}": _axis(plain, f"{table}.{field}", value) for field, value in fields.items()}
+        for field, value in fields.items():
+            try:
+                axes[f"{table}.{field}"] = _axis(training.model_copy(update={"search": None}), table, field, value)
+            except ValueError as error:
+                problem = explain(error) if isinstance(error, ValidationError) else str(error)
+                raise _search_error(f".{table}.{field}", problem) from error
     if not axes:
         raise _search_error("", "names nothing to search")
     return axes
@@ -286,32 +298,27 @@ def value_in(training: Training, name: str) -> Any:
     return training.learning.get(field, arguments[field].default)
 
 
-def _axis(training: Training, name: str, value: Any) -> Axis:
+def _axis(training: Training, table: str, field: str, value: Any) -> Axis:
     """Choices, each of which the training accepts, or a range whose ends it accepts."""
-    table, _, field = name.partition(".")
+    axis: Axis = Range.model_validate(value) if isinstance(value, dict) else value
+    ends = (axis.low, axis.high) if isinstance(axis, Range) else axis
+    if not (isinstance(ends, tuple) and len(ends) > 1 and all(ends.count(choice) == 1 for choice in ends)):
+        raise ValueError(f"{value!r} is neither two or more choices, none twice, nor a range {{ low, high }}")
     sizes = training.network.arguments(training.algorithm)
-    try:
-        axis: Axis = Range.model_validate(value) if isinstance(value, dict) else value
+    if table == "network" and field not in sizes:
+        raise ValueError(f"is not one of {training.algorithm}'s: {', '.join(sizes)}")
+    for choice in ends:
+        with_values(training, {f"{table}.{field}": choice})
+    if f"{table}.{field}" == ROLLOUT and training.algorithm != "sac":
         if isinstance(axis, Range):
-            values: tuple[Any, ...] = (axis.low, axis.high)
-        elif isinstance(axis, tuple) and len(axis) > 1 and all(axis.count(choice) == 1 for choice in axis):
-            values = axis
-        else:
-            problem = f"{value!r} is neither two or more choices, none twice, nor a range {{ low, high }}"
-            raise _search_error(f".{name}", problem)
-        if table == "network" and field not in sizes:
-            raise _search_error(f".{name}", f"is not one of {training.algorithm}'s: {', '.join(sizes)}")
-        for one in values:
-            with_values(training, {name: one})
-    except ValidationError as error:
-        raise _search_error(f".{name}", explain(error)) from error
-    if name == ROLLOUT and training.algorithm != "sac":
-        if isinstance(axis, Range):
-            raise _search_error(f".{name}", "must be a list of choices, as rollouts have to fill phases")
+            raise ValueError("must be a list of choices, as rollouts have to fill phases")
         for steps in axis:
             if not _fills_phases(training, steps):
-                filled = f"{training.phase_steps} steps of a phase in {training.environment.num_envs} environments"
-                raise _search_error(f".{name}", f"{steps}: the {filled} are no whole number of such rollouts")
+                environments = training.environment.num_envs
+                raise ValueError(
+                    f"{steps}: the {training.phase_steps} steps of a phase in {environments} environments are no whole"
+                    " number of such rollouts"
+                )
     return axis
 
 

@@ -11,43 +11,51 @@ import json
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+import numpy.typing as npt
 import pandas as pd
 import torch
 from filelock import FileLock, Timeout
 from pydantic import Field
+from stable_baselines3 import PPO
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.logger import Logger, make_output_format
 from stable_baselines3.common.utils import set_random_seed
+from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn, VecEnvWrapper
 from tqdm import tqdm
 
 from agents.evaluation.plan import Plan, run_plan
 from agents.evaluation.workers import HERE, Workers
 from agents.policies.bundle import ALGORITHMS, Agent, Description, write_bundle
-from agents.policies.policy import ranges_of
+from agents.policies.policy import Policy, ranges_of
+from agents.policies.view import Rows, View
 from agents.records.atomic import write_atomically
 from agents.records.manifest import origin as made_by
 from agents.records.manifest import write_json, write_manifest
-from agents.records.models import Stored
-from agents.records.reading import FileError, read_csv, read_json
+from agents.records.models import Stored, read_json
 from agents.records.tables import CURVE as CURVE_COLUMNS
+from agents.records.tables import read_csv
 from agents.terminal.tables import print_table
 from agents.terminal.work import Work, announce
-from agents.training.config import Training
-from agents.training.imitation import imitate
-from agents.training.view_env import ViewVecEnv
+from agents.training.config import Imitation, Training
 from agents.vec_env import ProbeVecEnv
-from probe_env.fidelity import resolve_fidelity
-from probe_env.files import MEBI, one_line, read_bytes
+from probe_env.envs.task import TaskConfig
+from probe_env.files import MEBI, FileError, one_line, read_bytes
 
 RUN, CHECKPOINT, BEST, CURVE = "run.json", "checkpoint.pt", "agent.safetensors", "learning.csv"
 BUFFER: Final = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 """Arrays of a replay buffer."""
 MOST_CHECKPOINT: Final = 16384 * MEBI
+VALIDATED: Final = ("inspection_time_s", "share_within_limit", "diverged")
+"""Figures of the learning curve, next to the reward."""
+MINIBATCH: Final = 256
+"""Rows between two updates of an imitation."""
+Floats = npt.NDArray[np.float32]
 
 
 class Run(Stored):
@@ -77,15 +85,10 @@ def train_all(
         return sum(len(read_csv(curve, CURVE_COLUMNS)) for curve in curves if curve.exists())
 
     announce(Work("phase", len(folders) * phases, done, output, "the same command with --resume goes on"))
-    tasks = [(seed, folder.absolute(), index) for index, (seed, folder) in enumerate(folders.items())]
-    curves = dict(workers.map(partial(_train_task, training, origin, workers.here), tasks))
-    rows: pd.DataFrame = pd.concat([curves[task] for task in tasks], ignore_index=True)
+    one = partial(train, training, output.absolute(), origin, threads=None if workers.here else 1)
+    curves = dict(workers.map(one, training.seeds))
+    rows: pd.DataFrame = pd.concat([curves[seed] for seed in training.seeds], ignore_index=True)
     return rows
-
-
-def _train_task(training: Training, origin: dict[str, Any], here: bool, task: tuple[int, Path, int]) -> pd.DataFrame:
-    seed, folder, index = task
-    return train(training, seed, folder, origin, None if here else 1, 0 if here else index)
 
 
 def prepare(training: Training, output: Path, resume: bool, origin: dict[str, Any]) -> dict[int, Path]:
@@ -149,22 +152,22 @@ def _write_curve(rows: list[dict[str, Any]], folder: Path) -> None:
 
 def train(
     training: Training,
-    seed: int,
-    folder: Path,
+    output: Path,
     origin: dict[str, Any],
+    seed: int,
     threads: int | None = None,
-    position: int = 0,
+    position: int | None = None,
     watch: Callable[[dict[str, Any]], None] = lambda row: None,
 ) -> pd.DataFrame:
     """Train one seed to its end, from its last checkpoint if there is one.
 
     Args:
         training: settings.
-        seed: of weights, episodes and exploration.
-        folder: of checkpoint, best agent, learning curve and logs.
+        output: its folder seed-K is for checkpoint, best agent, learning curve and logs.
         origin: how the run was started, see ``manifest.origin``.
+        seed: of weights, episodes and exploration.
         threads: of the simulation; default: all cores.
-        position: line of the progress bar.
+        position: line of the progress bar; default: the first, and a line a seed where seeds have a thread each.
         watch: receives the row of every phase once it is stored, also those before the last checkpoint; an exception
             that it raises ends the training.
 
@@ -172,9 +175,13 @@ def train(
         ValueError: another process trains in the folder.
         FileError: the checkpoint is damaged or of another run.
     """
+    folder = output / f"seed-{seed}"
+    if position is None:
+        position = training.seeds.index(seed) if threads else 0
     with run_lock(folder):
         torch.set_num_threads(1)
-        model, env, batch = _new_model(training, seed, threads)
+        env, plan = _environments(training, threads)
+        model = _new_model(training, env, seed)
         rows = restore(model, folder / CHECKPOINT)
         if rows:
             _write_curve(rows, folder)  # the stored curve may lack the last phase
@@ -186,38 +193,84 @@ def train(
         first = 0 if training.imitation else 1
         with tqdm(total=total, initial=done, desc=f"seed {seed}", unit="step", position=position) as bar:
             for phase in range(first + len(rows), training.phases + 1):
-                begin, kernels = time.perf_counter(), batch.kernel_seconds
+                begin, kernels = time.perf_counter(), env.batch.kernel_seconds
                 _run_phase(training, model, env, phase, folder, bar.update)
-                wall = time.perf_counter() - begin
+                times = {"wall_s": time.perf_counter() - begin, "kernel_s": env.batch.kernel_seconds - kernels}
                 trained = {"seed": seed, "phase": phase, "steps": model.num_timesteps} | origin
-                row = _validate(training, model, trained, folder, rows, threads)
-                rows.append(row | {"wall_s": wall, "kernel_s": batch.kernel_seconds - kernels})
+                rows.append(_validate(training, model, plan, threads, rows, trained, folder / BEST) | times)
                 save_checkpoint(model, rows, folder / CHECKPOINT)
                 _write_curve(rows, folder)
                 watch(rows[-1])
         run = json.loads((folder / RUN).read_text())
-        commits = [part["commit"] for part in (run, *run.get("resumed", ()))]
+        commits = [each["commit"] for each in (run, *run.get("resumed", ()))]
         write_manifest(folder, (RUN, CURVE, BEST), seeds=(seed,), command=origin["command"], commits=commits)
         return pd.DataFrame(rows)
 
 
-def _new_model(training: Training, seed: int, threads: int | None) -> tuple[BaseAlgorithm, ViewVecEnv, ProbeVecEnv]:
-    settings, task = training.environment, training.task.all_shown
+class ViewVecEnv(VecEnvWrapper):
+    """The environments as an agent sees them; rewards times ``reward_scale``.
+
+    ``rows`` holds the environment's own observations (N, d) of the last step.
+    """
+
+    def __init__(self, batch: ProbeVecEnv, view: View, config: TaskConfig, reward_scale: float) -> None:
+        super().__init__(batch, *view.spaces)
+        view.columns(config)
+        self.batch, self.view, self.config, self.reward_scale = batch, view, config, reward_scale
+        self.rows: Rows = np.zeros((batch.num_envs, len(config.observations)))
+        self._memory: Rows | None = None
+        self.guided: npt.NDArray[np.float32] | None = None
+        """(N, 2) what the agent's actions correct, see ``View.guided``."""
+
+    def reset(self) -> VecEnvObs:
+        """Start all episodes."""
+        self.rows = np.asarray(self.venv.reset())
+        features, self._memory = self.view.features(self.config, self.rows, None, np.ones(self.num_envs, dtype=bool))
+        self.guided = self.view.guided(features)
+        return features
+
+    def step_async(self, actions: np.ndarray) -> None:
+        """Hand the actions on in the environment's own terms."""
+        self.venv.step_async(self.view.env_actions(self.config, actions, self.guided))
+
+    def step_wait(self) -> VecEnvStepReturn:
+        """One control period; an ended episode's last features are in ``terminal_observation``."""
+        rows, rewards, dones, infos = self.venv.step_wait()
+        ended = np.flatnonzero(dones)
+        if len(ended):
+            assert self._memory is not None
+            last = np.array([infos[k]["terminal_observation"] for k in ended])
+            features, _ = self.view.features(self.config, last, self._memory[ended], np.zeros(len(ended), dtype=bool))
+            for k, terminal in zip(ended, features, strict=True):
+                infos[k]["terminal_observation"] = terminal
+        self.rows = np.asarray(rows)
+        features, self._memory = self.view.features(self.config, self.rows, self._memory, np.asarray(dones))
+        self.guided = self.view.guided(features)
+        return features, np.asarray(rewards * self.reward_scale, dtype=np.float32), dones, infos
+
+
+def _environments(training: Training, threads: int | None) -> tuple[ViewVecEnv, Plan]:
+    """Environments to train in, and the validation without its agent."""
+    settings, task = training.environment, training.task.full_observation
     batch = ProbeVecEnv(
         settings.env_id, settings.num_envs, task,
         fidelity=settings.fidelity, contexts=training.trained_in, probes=settings.probes, threads=threads,
         surrogate_map=training.vibration,
     )  # fmt: skip
-    env = ViewVecEnv(batch, training.view, task, settings.reward_scale)
+    plan = Plan({}, training.validated_in, (0,), task, training.validation_fidelity, settings.probes)
+    return ViewVecEnv(batch, training.view, task, settings.reward_scale), plan
+
+
+def _new_model(training: Training, env: ViewVecEnv, seed: int) -> BaseAlgorithm:
     set_random_seed(seed)
     algorithm, name = ALGORITHMS[training.algorithm]
     interval = training.network.noise_interval
-    explored = {"use_sde": True, "sde_sample_freq": interval} if interval else {}
+    exploration = {"use_sde": True, "sde_sample_freq": interval} if interval else {}
+    arguments = training.network.arguments(training.algorithm)
     model: BaseAlgorithm = algorithm(
-        name, env, policy_kwargs=training.network.arguments(training.algorithm), device="cpu", seed=seed,
-        **explored, **training.learning,
-    )  # fmt: skip
-    return model, env, batch
+        name, env, policy_kwargs=arguments, device="cpu", seed=seed, **exploration, **training.learning
+    )
+    return model
 
 
 def _run_phase(
@@ -249,28 +302,87 @@ def _run_phase(
 def _validate(
     training: Training,
     model: BaseAlgorithm,
-    trained: dict[str, Any],
-    folder: Path,
-    rows: list[dict[str, Any]],
+    plan: Plan,
     threads: int | None,
+    rows: list[dict[str, Any]],
+    trained: dict[str, Any],
+    best: Path,
 ) -> dict[str, Any]:
-    """Validate the agent and store it if it is the best so far; returns the row of the phase."""
-    task = training.task.all_shown
+    """Validate the agent and store it in ``best`` if it is the best so far; returns the row of the phase."""
     description = Description(
         algorithm=training.algorithm, network=training.network, view=training.view, task=training.task,
         tubes=ranges_of(training.trained_in), trained=trained,
     )  # fmt: skip
-    agent = Agent(description, model.policy, task, f"phase {trained['phase']}")
-    fidelity = resolve_fidelity(training.validation.fidelity, task.scene, both_ways=task.returns)
     begin = time.perf_counter()
-    plan = Plan({"agent": agent}, training.validated_in, (0,), task, fidelity, training.environment.probes)
-    table = run_plan(plan, None, threads=threads)
-    row = {name: trained[name] for name in ("seed", "phase", "steps")} | {"reward": float(table["reward"].mean())}
-    row |= {name: float(table[name].mean()) for name in ("inspection_time_s", "share_within_limit", "diverged")}
+    agent = Agent(description, model.policy, plan.config, f"phase {trained['phase']}")
+    table = run_plan(replace(plan, policies={"agent": agent}), None, threads=threads)
+    row = {name: trained[name] for name in ("seed", "phase", "steps")}
+    row |= {name: float(table[name].mean()) for name in ("reward", *VALIDATED)}
     row["validation_s"] = time.perf_counter() - begin
     if all(row["reward"] > before["reward"] for before in rows):
-        write_bundle(folder / BEST, description, model.policy)
+        write_bundle(best, description, model.policy)
     return row
+
+
+def imitate(model: PPO, env: ViewVecEnv, teacher: Policy, settings: Imitation, report: Callable[[int], Any]) -> None:
+    """Warm start of PPO: the network imitates a teacher that knows the tube (DAgger: Ross, Gordon, Bagnell 2011).
+
+    The teacher acts in the first round, the network itself in the others, so that it learns what to do where it gets
+    to; its critic learns the return that follows. Actor and critic are trained in place.
+
+    Args:
+        model: PPO on ``env``.
+        env: its task must show what the teacher looks at.
+        teacher: acts in the environment's own terms.
+        settings: rounds, steps and so on.
+        report: called with the number of environment steps after each of them.
+    """
+    optimiser = torch.optim.Adam(model.policy.parameters(), lr=settings.learning_rate)
+    rounds: list[tuple[Floats, Floats, Floats]] = []
+    for number in range(settings.rounds):
+        rounds.append(_gather(model, env, teacher, max(settings.steps // env.num_envs, 1), number == 0, report))
+        features, actions = (torch.as_tensor(np.concatenate([each[k] for each in rounds])) for k in (0, 1))
+        latest, _, returns = map(torch.as_tensor, rounds[-1])  # the critic learns what follows the latest behaviour
+        policy = model.policy
+        policy.set_training_mode(True)
+        for _ in range(settings.epochs):
+            for rows in torch.split(torch.randperm(len(features)), MINIBATCH):
+                others = torch.randint(len(latest), (MINIBATCH,))
+                gaussian = policy.get_distribution(features[rows]).distribution
+                assert isinstance(gaussian, torch.distributions.Normal)
+                value = policy.predict_values(latest[others]).ravel()
+                critic = torch.nn.functional.smooth_l1_loss(value, returns[others])
+                loss = ((gaussian.mean - actions[rows]) ** 2).mean() + critic
+                optimiser.zero_grad()
+                loss.backward()  # type: ignore[no-untyped-call]
+                optimiser.step()
+        policy.set_training_mode(False)
+
+
+def _gather(
+    model: PPO, env: ViewVecEnv, teacher: Policy, steps: int, teacher_acts: bool, report: Callable[[int], Any]
+) -> tuple[Floats, Floats, Floats]:
+    """Features (n, f), the teacher's actions (n, 2) and discounted returns (n,) of one round."""
+    features = np.asarray(env.reset())
+    state, start = None, np.ones(env.num_envs, dtype=bool)
+    inputs, labels, rewards, dones = [], [], [], []
+    for _ in range(steps):
+        action, state = teacher.predict(env.rows, state, start, deterministic=True)
+        inputs.append(features)
+        labels.append(env.view.agent_actions(env.config, action, env.guided))
+        applied = labels[-1] if teacher_acts else model.predict(features, deterministic=True)[0]
+        new, reward, start, _ = env.step(applied)
+        features = np.asarray(new)
+        rewards.append(reward)
+        dones.append(start)
+        report(env.num_envs)
+    with torch.no_grad():
+        following = model.policy.predict_values(torch.as_tensor(features)).numpy().ravel()
+    returns = np.zeros((steps, env.num_envs), dtype=np.float32)
+    for k in reversed(range(steps)):
+        following = rewards[k] + model.gamma * following * ~dones[k]
+        returns[k] = following
+    return np.concatenate(inputs), np.concatenate(labels), returns.ravel()
 
 
 def save_checkpoint(model: BaseAlgorithm, rows: list[dict[str, Any]], path: Path) -> None:
@@ -325,7 +437,7 @@ def restore(model: BaseAlgorithm, path: Path) -> list[dict[str, Any]]:
 
 def print_curves(curves: pd.DataFrame) -> None:
     """Print the phases of all seeds."""
-    names = {"seed": "seed", "phase": "phase", "steps": "steps", "reward": "reward", "inspection_time_s": "time [s]",
-             "share_within_limit": "within the limit", "wall_s": "wall [s]"}  # fmt: skip
+    titles = {"inspection_time_s": "time [s]", "share_within_limit": "within the limit", "wall_s": "wall [s]"}
+    names = {name: name for name in ("seed", "phase", "steps", "reward")} | titles
     rows = ([f"{value:.4g}" for value in row] for row in curves[list(names)].itertuples(index=False))
     print_table("Validation after each phase", list(names.values()), rows, left=0)

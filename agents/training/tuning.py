@@ -63,8 +63,8 @@ class Tuning(Stored):
         """Sampler of the trial with this number; the first trial has the file's own values where the space has them."""
         seed = int(np.random.SeedSequence([self.seed, number]).generate_state(1)[0])
         sampler = TPESampler(seed=seed, multivariate=True, constant_liar=False)
-        own = {name: _label(value_in(self.training, name)) for name in self.axes}
-        fixed = {name: value for name, value in own.items() if _contains(self.axes[name], value)}
+        values = {name: _label(value_in(self.training, name)) for name in self.axes}
+        fixed = {name: value for name, value in values.items() if _contains(self.axes[name], value)}
         return sampler if number else PartialFixedSampler(fixed, sampler)
 
     def with_parameters(self, parameters: dict[str, Any]) -> Training:
@@ -144,9 +144,9 @@ def _run_trial(tuning: Tuning, study: optuna.Study, trial: optuna.Trial, folder:
 
     update = {"phases": tuning.phases, "seeds": tuning.training.seeds[:1]}
     training, state = tuning.with_parameters(trial.params).model_copy(update=update), TrialState.COMPLETE
-    ((seed, place),) = prepare(training, folder, True, origin).items()
+    ((seed, run),) = prepare(training, folder, True, origin).items()
     try:
-        train(training, seed, place, origin, position=1, watch=watch)
+        train(training, folder, origin, seed, position=1, watch=watch)
     except FileError:
         raise
     except optuna.TrialPruned:
@@ -157,7 +157,7 @@ def _run_trial(tuning: Tuning, study: optuna.Study, trial: optuna.Trial, folder:
     trial.set_user_attr("commit", origin["commit"])
     trial.set_user_attr("seconds", sum(row["wall_s"] + row["validation_s"] for row in rows))
     study.tell(trial, max(row["reward"] for row in rows) if state == TrialState.COMPLETE else None, state)
-    (place / CHECKPOINT).unlink(missing_ok=True)  # a replay buffer may be large
+    (run / CHECKPOINT).unlink(missing_ok=True)  # a replay buffer may be large
 
 
 def finished(study: optuna.Study) -> list[FrozenTrial]:

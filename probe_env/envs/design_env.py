@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Mapping
 from typing import Any, ClassVar, Unpack, cast
 
@@ -14,16 +13,18 @@ from probe_env.envs.contexts import Context
 from probe_env.envs.env import Observation
 from probe_env.envs.episodes.starts import (
     DEFAULTS,
+    EpisodeSampler,
     EpisodeSettings,
     PlaceSettings,
-    Starts,
     drawn_context,
     placed,
+    restored_on_error,
     settling,
 )
 from probe_env.envs.task import TaskConfig, action_of, share_of
-from probe_env.envs.task.observations import OBSERVATIONS, PRIVILEGED, UNITS
+from probe_env.envs.task.scales import OBSERVATIONS, PRIVILEGED, UNITS
 from probe_env.envs.trials import (
+    HARDEST,
     Candidate,
     Controller,
     check_candidate,
@@ -32,7 +33,6 @@ from probe_env.envs.trials import (
     try_insertions,
     try_sections,
 )
-from probe_env.envs.trials.sections import HARDEST
 from probe_env.fidelity import resolve_fidelity
 from probe_env.scene import Scene
 from probe_env.schedule import Schedule
@@ -112,8 +112,8 @@ class DesignEnv(gym.Env[Observation, Observation]):
         self.contexts = left.get("contexts", DEFAULTS["contexts"])
         stretch_of(self.config)  # refuses a helix that is too short
         # an insertion settles like that of Insertion-v1; the probes are those that the action may build
-        self.starts = Starts(self.config, self.contexts, "random", *settling(self.config, {}))
-        self.fidelity = resolve_fidelity(left.get("fidelity", DEFAULTS["fidelity"]), self.starts.stiffest, full)
+        self.sampler = EpisodeSampler(self.config, self.contexts, "random", *settling(self.config, {}))
+        self.fidelity = resolve_fidelity(left.get("fidelity", DEFAULTS["fidelity"]), self.sampler.stiffest, full)
         if not self.fidelity.simulates:
             raise ValueError("fidelity = 'surrogate' is for Insertion-v1 alone: designs are simulated, give standard")
         self.feed, self.full, self.render_mode = feed or STUDY_FEED, full, render_mode
@@ -158,12 +158,11 @@ class DesignEnv(gym.Env[Observation, Observation]):
                 simulate in such a tube, see ``episodes.limits``.
         """
         super().reset(seed=seed)
-        trial = copy.deepcopy(self.np_random)  # the generator itself moves on only if all is valid
-        context = drawn_context(self.contexts, trial, dict(options or {}))
         sections = None if self.full else cast(Schedule, self.feed)
-        for design in HARDEST:  # then all of the design space, cut to the bore, can be tried
-            check_candidate(design.cut_to(self.scene), context, self.config, self.fidelity, sections)
-        drawn_context(self.contexts, self.np_random, {})
+        with restored_on_error([self.np_random]):
+            context = drawn_context(self.contexts, self.np_random, dict(options or {}))
+            for design in HARDEST:  # then all of the design space, cut to the bore, can be tried
+                check_candidate(design.cut_to(self.scene), context, self.config, self.fidelity, sections)
         self.context = context
         return self._observation(), {"context": self.context.model_dump()}
 

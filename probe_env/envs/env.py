@@ -1,14 +1,17 @@
-"""The Gymnasium environments: glue around ``Episodes`` with one probe."""
+"""The Gymnasium environments: glue around ``Episodes`` with one probe, or with N in one batch for ``make_vec``."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, SupportsFloat, Unpack
 
 import gymnasium as gym
 import numpy as np
 import numpy.typing as npt
+from gymnasium.vector import AutoresetMode
+from gymnasium.vector.utils import batch_space
 
+from probe_env.arrays import FloatArray
 from probe_env.envs.episodes.starts import DEFAULTS, EpisodeSettings, placed
 from probe_env.envs.surrogate import make_episodes
 from probe_env.envs.task import TaskConfig
@@ -121,7 +124,7 @@ class InsertionEnv(ProbeEnv):
     | 1 | target air supply; follows with a lag of 1 s | 30 | 130 | m3/h |
 
     ## Observation Space
-    A `Box` of float32; names, bounds and meaning in `probe_env.envs.task.observations.OBSERVATIONS`:
+    A `Box` of float32; names, bounds and meaning in `probe_env.envs.task.scales.OBSERVATIONS`:
 
     | Num | Observation | Scale |
     |---|---|---|
@@ -135,7 +138,7 @@ class InsertionEnv(ProbeEnv):
 
     Friction and contact stiffness are not observed. `config={"observe_root_tension": False}` leaves out 7,
     `{"privileged": True}` adds friction, contact stiffness and drag; `{"observe_probe": True}` the seven figures of the
-    probe that was built (`probe_env.envs.task.observations.PROBE`), for one controller of many probes.
+    probe that was built (`probe_env.envs.task.scales.PROBE`), for one controller of many probes.
 
     ## Rewards
     The sum of `info["reward_terms"]`: progress (1 per metre), vibration (-(rms / 0.1 mm)^2 per metre, the ratio up
@@ -205,32 +208,166 @@ class InspectionEnv(ProbeEnv):
 
     ## Description
     The probe is fed in as in `Insertion-v1`. At the end of the helix feed and air are turned round: the air blows
-    towards the feed device, which draws the cable out, until the probe is where it began. On the way back the cable is
+    towards the feed device, which draws the cable out, until the probe is where it began. On withdrawal the cable is
     pressed and lies on the outer wall, where it hardly rings. What a metre counts for is the better of both passes.
 
     ## Action Space
-    As `Insertion-v1`: how fast and how much air, on the way that the probe is on.
+    As `Insertion-v1`: how fast and how much air, of the pass that the probe is on.
 
     ## Observation Space
-    As `Insertion-v1`; feed speed and air supply are below 0 on the way back, and `way` comes before what is privileged:
-    1 on the way in, -1 on the way back.
+    As `Insertion-v1`; feed speed and air supply are below 0 on withdrawal, and `way` comes before what is privileged:
+    1 on insertion, -1 on withdrawal.
 
     ## Rewards
-    As `Insertion-v1`, for time and air of both ways. `config={"inspects": "best"}` (default): a metre that is quieter
-    on the way back than on the way in gives the difference back; `"in"`: the way back shows nothing; `"back"`: nothing
-    but the way back counts as inspected. KPIs of what is found go by the same: with `"best"` a flaw is found where
-    either way calls it, each with half of the false calls. Whatever counts, uninspected is what is left of both ways
+    As `Insertion-v1`, for time and air of both passes. `config={"inspects": "best"}` (default): a metre that is quieter
+    on withdrawal than on insertion gives the difference back; `"in"`: withdrawal shows nothing; `"back"`: nothing
+    but withdrawal counts as inspected. KPIs of what is found go by the same: with `"best"` a flaw is found where
+    either pass calls it, each with half of the false calls. Whatever counts, uninspected is what is left of both passes
     when the episode ends: a probe that stays in the tube owes the metres that it was not drawn back.
 
     ## Episode End
-    Terminated when the probe is back where it began, on lost drive on the way in, and when the simulation diverges;
+    Terminated when the probe is back where it began, on lost drive on insertion, and when the simulation diverges;
     truncated after 1,800 s.
 
     ## Arguments
-    As `Insertion-v1`. `fidelity`: "standard" and "fast" simulate the way back, with nodes between the
-    floats; so do settings with newmark, wilson, imex, implicit or explicit. Time-lapse ("fast") is for the way in
-    alone: on the way back the motion is what the turn or a change of the feed has left. The cable touches the walls in
+    As `Insertion-v1`. `fidelity`: "standard" and "fast" simulate withdrawal, with nodes between the
+    floats; so do settings with newmark, wilson, imex, implicit or explicit. Time-lapse ("fast") is for insertion
+    alone: on withdrawal the motion is what the turn or a change of the feed has left. The cable touches the walls in
     every scene.
     """
 
     defaults: ClassVar[dict[str, Any]] = {"passes": "both", "time_limit": 1800.0}
+
+
+class ProbeVectorEnv(gym.vector.VectorEnv[Observation, Observation, Any]):
+    """N environments in one batch; each equals a single environment with the seed ``seed + i`` bit for bit.
+
+    Args:
+        num_envs: N.
+        autoreset_mode: when an ended episode starts anew: ``AutoresetMode.NEXT_STEP`` (default), ``SAME_STEP``
+            (with ``final_obs`` and ``final_info`` in the infos) or ``DISABLED`` (``options["reset_mask"]``).
+        threads: at most so many; default: all cores.
+        config, settings: see ``InsertionEnv``.
+        max_episode_steps: an episode is truncated after so many steps, as by ``gymnasium.make``; default: only by the
+            task's own time limit, a field of ``config``.
+        render_mode: refused: render a single environment.
+
+    Raises:
+        ValueError: an argument is not valid.
+    """
+
+    single: ClassVar[type[ProbeEnv]] = ProbeEnv
+
+    @in_one_line()
+    def __init__(
+        self,
+        num_envs: int = 1,
+        config: TaskConfig | Mapping[str, Any] | None = None,
+        *,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        threads: int | None = None,
+        max_episode_steps: int | None = None,
+        render_mode: str | None = None,
+        **settings: Unpack[EpisodeSettings],
+    ) -> None:
+        check_episode_steps(max_episode_steps)
+        if render_mode is not None:
+            raise ValueError(f"render_mode = {render_mode!r}: a batch is not rendered; use a single environment")
+        self.config, settings = placed(self.single.defaults, config, settings)
+        self.episodes = make_episodes(num_envs, self.config, threads=threads, **settings)
+        self.num_envs = num_envs
+        self.autoreset_mode = AutoresetMode(autoreset_mode)
+        self.metadata = self.single.metadata | {"autoreset_mode": self.autoreset_mode}
+        self.single_observation_space, self.single_action_space = spaces_of(self.config)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self._rngs: dict[int, np.random.Generator] = {}
+        self._ended = np.zeros(num_envs, dtype=bool)
+        self.max_episode_steps, self._steps = max_episode_steps, np.zeros(num_envs, dtype=int)
+
+    @in_one_line()
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Start episodes: all, or those of ``options["reset_mask"]``. Other options are those of the single one.
+
+        Raises:
+            ValueError: seeds, mask or options are not valid.
+        """
+        options = dict(options or {})
+        mask = options.pop("reset_mask", None)
+        mask = np.ones(self.num_envs, dtype=bool) if mask is None else np.asarray(mask)
+        if mask.shape != (self.num_envs,) or mask.dtype != np.bool_ or not mask.any():
+            raise ValueError(f"options['reset_mask'] must be {self.num_envs} booleans, at least one of them true")
+        which = np.flatnonzero(mask).tolist()
+        seeds = [seed + k for k in range(self.num_envs)] if isinstance(seed, int | np.integer) else seed
+        if seeds is not None and len(seeds) != self.num_envs:
+            raise ValueError(f"seed has {len(seeds)} entries for {self.num_envs} environments")
+        for k in which:
+            own_seed = None if seeds is None else seeds[k]
+            if own_seed is not None or k not in self._rngs:  # else its generator goes on
+                self._rngs[k] = gym.utils.seeding.np_random(own_seed)[0]
+        observation, infos = self.episodes.reset(which, self._rngs, dict.fromkeys(which, options))
+        self._ended[mask], self._steps[mask] = False, 0
+        merged: dict[str, Any] = {}
+        for k in which:
+            merged = self._add_info(merged, infos[k], k)
+        return observation, merged
+
+    def step(
+        self, actions: npt.ArrayLike
+    ) -> tuple[Observation, FloatArray, npt.NDArray[np.bool_], npt.NDArray[np.bool_], dict[str, Any]]:
+        """One control period; ended episodes are handled after ``autoreset_mode``."""
+        starting = self._ended.copy()
+        if starting.any() and self.autoreset_mode is AutoresetMode.DISABLED:
+            raise RuntimeError(f"episode {np.flatnonzero(starting)[0]} has ended: reset it with options['reset_mask']")
+        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        reward: FloatArray = np.zeros(self.num_envs)
+        terminated, truncated = np.zeros_like(starting), np.zeros_like(starting)
+        observation = self.episodes.observation.copy()
+        if not starting.all():
+            step = self.episodes.step(actions, ~starting)
+            observation, reward, terminated, truncated = step.observation, step.reward, step.terminated, step.truncated
+            infos = step.infos
+            self._steps += ~starting
+            if self.max_episode_steps is not None:
+                truncated = truncated | (~starting & (self._steps >= self.max_episode_steps))
+        if starting.any():  # NEXT_STEP: this step is their reset
+            observation, started = self._start(np.flatnonzero(starting).tolist())
+            for k, info in started.items():
+                infos[k] = info
+        self._ended = terminated | truncated
+        if self._ended.any() and self.autoreset_mode is AutoresetMode.SAME_STEP:
+            ended = np.flatnonzero(self._ended).tolist()
+            final = observation.copy()
+            observation, started = self._start(ended)
+            for k in ended:
+                infos[k] = started[k] | {"final_obs": final[k], "final_info": infos[k]}
+            self._ended[:] = False
+        merged: dict[str, Any] = {}
+        for k, info in enumerate(infos):
+            if info:
+                merged = self._add_info(merged, info, k)
+        return observation, reward.copy(), terminated.copy(), truncated.copy(), merged
+
+    def _start(self, which: list[int]) -> tuple[Observation, dict[int, dict[str, Any]]]:
+        self._steps[which] = 0
+        return self.episodes.reset(which, self._rngs)
+
+
+class InsertionVectorEnv(ProbeVectorEnv):
+    """Native batch of ``probe_env/Insertion-v1``."""
+
+    single = InsertionEnv
+
+
+class SnapshotVectorEnv(ProbeVectorEnv):
+    """Native batch of ``probe_env/Snapshot-v1``."""
+
+    single = SnapshotEnv
+
+
+class InspectionVectorEnv(ProbeVectorEnv):
+    """Native batch of ``probe_env/Inspection-v0``."""
+
+    single = InspectionEnv

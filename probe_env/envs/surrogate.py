@@ -18,32 +18,34 @@ from probe_env.arrays import BoolArray, FloatArray
 from probe_env.design import RANGES
 from probe_env.envs.contexts import Context
 from probe_env.envs.episodes import Episodes, Step
-from probe_env.envs.episodes.judge import Tally
-from probe_env.envs.episodes.starts import DEFAULTS, EpisodeSettings, Starts, placed, settling
-from probe_env.envs.task import (
-    COSTS,
-    FAILURES,
-    Outcome,
-    TaskConfig,
-    air_used,
-    capped_square,
-    cost_terms,
-    ending,
-    reward_terms,
-    slack,
-    slack_in_a_row,
+from probe_env.envs.episodes.episodes import check_running
+from probe_env.envs.episodes.limits import check_fidelity, check_start
+from probe_env.envs.episodes.scoring import EpisodeMetrics
+from probe_env.envs.episodes.starts import (
+    DEFAULTS,
+    EpisodeSampler,
+    EpisodeSettings,
+    Probes,
+    placed,
+    restored_on_error,
+    settling,
 )
-from probe_env.envs.task.observations import observe
-from probe_env.envs.task.passes import passes_of
-from probe_env.envs.task.rules import Ending
+from probe_env.envs.task import COSTS, FAILURES, Score, TaskConfig, rules
+from probe_env.envs.task.observations import SensorModel, normal_draws
 from probe_env.envs.vibration_map import CONTEXT, VibrationMap, check_measure, load_for, rms_limit, stored_map
-from probe_env.fidelity import PRESETS, SURROGATE, is_surrogate
+from probe_env.fidelity import PRESETS, SURROGATE, Fidelity, is_surrogate
 from probe_env.physics.closed_forms import buckling_load, sliding_tension
 from probe_env.physics.model.drive import moved_on
+from probe_env.scene import Scene
 from probe_env.settings import check_known
 
 DRAWS: Final = 7
 """Normal draws a probe and period: vibration slow and quick, tension, two accelerations, two sensors."""
+IN_INFO: Final = (
+    "inserted_length", "feed_speed", "air_supply_rate",
+    "radial_rms_m", "radial_acceleration_rms_m_per_s2", "tension_mean_n",
+)  # fmt: skip
+"""Measured values that an info has."""
 DRIVE_STEP: Final = 5e-3
 """[s] in which the drive moves on: a change of the feed by 0.2 m/s then mistakes the length by 0.5 mm."""
 
@@ -97,13 +99,38 @@ def make_episodes(
     config: TaskConfig,
     *,
     threads: int | None = None,
-    may_stand: bool = False,
+    allow_standstill: bool = False,
     **settings: Unpack[EpisodeSettings],
 ) -> Episodes:
     """Episodes of any fidelity: ``Episodes``, or ``SurrogateEpisodes``, which have the same methods."""
     if is_surrogate(settings.get("fidelity", DEFAULTS["fidelity"])):
-        return cast(Episodes, SurrogateEpisodes(count, config, may_stand=may_stand, **settings))
-    return Episodes(count, config, threads=threads, may_stand=may_stand, **settings)
+        return cast(Episodes, SurrogateEpisodes(count, config, allow_standstill=allow_standstill, **settings))
+    return Episodes(count, config, threads=threads, allow_standstill=allow_standstill, **settings)
+
+
+def check_tubes(
+    config: TaskConfig, contexts: Sequence[Context], fidelity: Fidelity, vibration: VibrationMap | None = None
+) -> None:
+    """Raise ValueError if an episode of the scene's probe could not begin in one of some tubes; nothing is simulated.
+
+    Args:
+        config: the task.
+        contexts: the tubes.
+        fidelity: of the episodes.
+        vibration: map of the surrogate; default: the shipped one.
+    """
+    sampler = EpisodeSampler(config, tuple(contexts), "scene", *settling(config, {}))
+    config.action(sampler.feed_speed, sampler.air_supply_rate)  # refuses a settling out of the task's range
+    if fidelity.simulates:
+        check_fidelity(fidelity, config)
+    else:
+        _check_task(config, "scene", vibration or stored_map())
+    for context in contexts:
+        scene = sampler.build(context, {})
+        if fidelity.simulates:
+            check_start(scene, fidelity, config)
+        else:
+            _check_tube(context, scene, vibration or stored_map())
 
 
 class SurrogateEpisodes:
@@ -112,7 +139,7 @@ class SurrogateEpisodes:
     Args:
         count: N.
         config: the task.
-        may_stand: whether the feed action may be the task's ``standing``.
+        allow_standstill: whether the feed action may be the task's ``standstill``.
         noise: what the map leaves out; default: as measured.
         settings: see ``EpisodeSettings``; ``surrogate_map`` defaults to the shipped map.
 
@@ -129,42 +156,43 @@ class SurrogateEpisodes:
         count: int,
         config: TaskConfig,
         *,
-        may_stand: bool = False,
+        allow_standstill: bool = False,
         noise: Noise = MEASURED,
         **settings: Unpack[EpisodeSettings],
     ) -> None:
         check_known(type(self).__name__, settings, DEFAULTS)
         config, settings = placed({}, config, settings)
         arguments = DEFAULTS | settings
-        given = arguments["surrogate_map"]
-        if isinstance(given, str | Path):
-            given = load_for(Path(given), "the scene", config.scene)
-        self.map = given or stored_map()
-        self.config, self.noise, self.may_stand, self.fidelity = config, noise, may_stand, PRESETS[SURROGATE]
-        _check(config, arguments, self.map)
+        vibration = arguments["surrogate_map"]
+        if isinstance(vibration, str | Path):
+            vibration = load_for(Path(vibration), "the scene", config.scene)
+        self.map = vibration or stored_map()
+        self.config, self.noise, self.fidelity = config, noise, PRESETS[SURROGATE]
+        self.allow_standstill = allow_standstill
+        _check_task(config, arguments["probes"], self.map)
         if count < 1:
             raise ValueError(f"num_envs = {count!r} is outside the accepted range 1 and more")
         feed, air = settling(config, settings)
-        self.starts = Starts(config, arguments["contexts"], arguments["probes"], feed, air)
+        self.sampler = EpisodeSampler(config, arguments["contexts"], arguments["probes"], feed, air)
         self.start_action = config.action(feed, air)
         self.limit, self.buckling = rms_limit(config), np.full(count, buckling_load(config.scene.probe))
+        self.helix_length = np.full(count, config.scene.tube.helix_length)
         self.probe = {name: np.full(count, getattr(config.scene.probe, name)) for name in RANGES}
-        self.passes = passes_of(count, config, 0)
+        self.direction = np.ones(count)
         self.context = [Context()] * count
         self.rng = [np.random.default_rng(k) for k in range(count)]
         self.tubes = np.ones((count, len(CONTEXT)))
-        zeros = np.zeros(count)
-        self.length, self.start, self.time = zeros.copy(), zeros.copy(), zeros.copy()
-        self.feed, self.air = zeros.copy(), zeros.copy()
+        self.inserted_length, self.start, self.time = np.zeros(count), np.zeros(count), np.zeros(count)
+        self.feed, self.air = np.zeros(count), np.zeros(count)
         self.processes = {
             "slow": (0, noise.slow), "tension": (2, noise.tension),
             "radial": (3, noise.radial_scatter), "axial": (4, noise.axial_scatter),
         }  # fmt: skip
-        self.scatter = {name: zeros.copy() for name in self.processes}
-        self.slack_periods, self.running = np.zeros(count, dtype=int), np.zeros(count, dtype=bool)
+        self.scatter = {name: np.zeros(count) for name in self.processes}
+        self.slack_steps, self.running = np.zeros(count, dtype=int), np.zeros(count, dtype=bool)
         self.actions = np.tile(self.start_action, (count, 1))
         self.sums: dict[str, FloatArray] = {}
-        self.observed = np.zeros((count, config.delay_periods + 1, len(config.observations)), dtype=np.float32)
+        self.sensors = SensorModel(config, count)
 
     def __len__(self) -> int:
         return len(self.context)
@@ -172,17 +200,7 @@ class SurrogateEpisodes:
     @property
     def observation(self) -> npt.NDArray[np.float32]:
         """(N, d) the present observation."""
-        return self.observed[:, 0]
-
-    def check_tube(self, context: Context) -> None:
-        """Raise ValueError if the map does not cover a tube."""
-        low, high = self.map.ranges
-        for k, name in enumerate(CONTEXT):
-            if not low[k] - 1e-9 <= getattr(context, name) <= high[k] + 1e-9:
-                raise ValueError(
-                    f"{name} = {getattr(context, name):g} is outside the map's range {low[k]:g} to {high[k]:g}:"
-                    " simulate with fidelity fast or finer"
-                )
+        return self.sensors.observation
 
     @property
     def batch(self) -> NoReturn:
@@ -202,34 +220,33 @@ class SurrogateEpisodes:
         """Start new episodes of some probes; (N, d) observation and their infos. Options as of ``Episodes.reset``.
 
         Raises:
-            ValueError: an option is not known or not valid, or the map does not cover a tube or probe.
+            ValueError: an option is not known or not valid, or the map does not cover a tube or probe; nothing has
+                been changed then.
         """
-        chosen = list(which)
-        drawn = {k: self.starts.draw(rngs[k], (options or {}).get(k) or {}) for k in chosen}
-        for context, scene in drawn.values():
-            if scene.probe != self.map.scene.probe:
-                raise ValueError("probe: the map is of another one; simulate with fidelity fast or finer")
-            self.check_tube(context)
+        drawn: dict[int, tuple[Context, Scene]] = {}
+        with restored_on_error(rngs[k] for k in which):
+            for k in which:
+                drawn[k] = self.sampler.draw(rngs[k], (options or {}).get(k) or {})
+                _check_tube(*drawn[k], self.map)
         for k, (context, scene) in drawn.items():
             self.rng[k], self.context[k] = rngs[k], context
             self.tubes[k] = [getattr(context, name) for name in CONTEXT]
-            self.length[k] = self.start[k] = scene.inserted_length
-            self.feed[k], self.air[k] = self.starts.feed_speed, self.starts.air_supply_rate
-            self.time[k], self.slack_periods[k], self.running[k] = 0.0, 0, True
+            self.inserted_length[k] = self.start[k] = scene.inserted_length
+            self.feed[k], self.air[k] = self.sampler.feed_speed, self.sampler.air_supply_rate
+            self.time[k], self.slack_steps[k], self.running[k] = 0.0, 0, True
             for values in self.sums.values():
                 values[k] = 0.0
             self.actions[k] = self.start_action
-        every = np.zeros(len(self), dtype=bool)
-        every[chosen] = True
-        normal = self._draw(every)
+        fresh = np.zeros(len(self), dtype=bool)
+        fresh[list(which)] = True
+        normal = normal_draws(self.rng, fresh, DRAWS)
         for name, (row, process) in self.processes.items():
-            self.scatter[name] = np.where(every, process.deviation * normal[:, row], self.scatter[name])
+            self.scatter[name] = np.where(fresh, process.deviation * normal[:, row], self.scatter[name])
         measured = self._measured(normal)
-        self.observed[every] = observe(self.config, measured, normal[:, 5:])[every, None]
-        infos = self._infos(measured, {})
-        probe = self.config.scene.probe.model_dump()
+        self.sensors.begin(measured, fresh, normal[:, 5:])
+        infos, probe = _rows(self._info_columns(measured)), self.config.scene.probe.model_dump()
         return self.observation.copy(), {
-            k: infos[k] | {"context": self.context[k].model_dump(), "probe": probe, "diverged": False} for k in chosen
+            k: infos[k] | {"context": self.context[k].model_dump(), "probe": probe, "diverged": False} for k in which
         }
 
     def step(self, actions: npt.ArrayLike, active: BoolArray | None = None) -> Step:
@@ -239,85 +256,78 @@ class SurrogateEpisodes:
             ValueError: an action is not valid.
             RuntimeError: an active episode has ended and was not reset.
         """
-        config, dt = self.config, self.config.period
-        chosen = np.ones(len(self), dtype=bool) if active is None else np.asarray(active, dtype=bool)
-        if (chosen & ~self.running).any():
-            raise RuntimeError(f"episode {np.flatnonzero(chosen & ~self.running)[0]} has ended: call reset before step")
-        given = np.where(chosen[:, None], np.asarray(actions, dtype=np.float32), self.actions)
-        targets = config.targets(given, self.may_stand)
-        change = given.astype(float) - self.actions
-        self.actions = given
-        air_before = self.air.copy()
-        steps, before = max(round(dt / DRIVE_STEP), 1), self.length
-        drives = moved_on(steps, dt / steps, config.ramp, config.air_lag, self.feed, self.air, targets, before)
-        self.feed, self.air, length = (
-            np.where(chosen, after, now) for after, now in zip(drives, (self.feed, self.air, before), strict=True)
-        )
-        self.length = np.minimum(length, config.scene.tube.helix_length)
-        travel = self.length - before
-        normal = self._draw(chosen)
+        config = self.config
+        stepped = np.ones(len(self), dtype=bool) if active is None else np.asarray(active, dtype=bool)
+        check_running(self.running, stepped)
+        actions = np.where(stepped[:, None], np.asarray(actions, dtype=np.float32), self.actions)
+        targets = config.targets(actions, self.allow_standstill)
+        change = actions.astype(float) - self.actions
+        self.actions = actions
+        before, air_before = self.inserted_length, self.air
+        self._drive(stepped, targets)
+        normal = normal_draws(self.rng, stepped, DRAWS)
         for name, (row, process) in self.processes.items():
-            moved = process.next(self.scatter[name], normal[:, row])
-            self.scatter[name] = np.where(chosen, moved, self.scatter[name])
+            self.scatter[name] = np.where(stepped, process.next(self.scatter[name], normal[:, row]), self.scatter[name])
         measured = self._measured(normal)
+        scored = self._score(stepped, self.inserted_length - before, air_before, change, measured)
+        self.sensors.update(measured, stepped, normal[:, 5:], self.rng)
+        ended = rules.any_ending(scored.endings)
+        self.running &= ~ended
+        infos = self._infos(stepped, measured, scored, targets)
+        for k in np.flatnonzero(ended).tolist():
+            infos[k]["episode_kpis"] = self._kpis(k, scored)
+        return Step(self.observation.copy(), scored.reward, scored.terminated, scored.truncated, infos)
+
+    def _drive(self, stepped: BoolArray, targets: FloatArray) -> None:
+        """Feed, air and inserted length at the end of a control period towards targets (N, 2) [m/s], [m3/s]."""
+        config, now = self.config, (self.feed, self.air, self.inserted_length)
+        steps = max(round(config.period / DRIVE_STEP), 1)
+        after = moved_on(steps, config.period / steps, config.ramp, config.air_lag, *now[:2], targets, now[2])
+        self.feed, self.air, length = (np.where(stepped, new, old) for new, old in zip(after, now, strict=True))
+        self.inserted_length = np.minimum(length, self.helix_length)
+
+    def _score(
+        self,
+        stepped: BoolArray,
+        travel: FloatArray,
+        air_before: FloatArray,
+        change: FloatArray,
+        measured: Mapping[str, FloatArray],
+    ) -> Score:
+        """Score a control period and add it to the episodes' sums."""
+        config, tension = self.config, measured["tension_mean_n"]
         ratio = measured["radial_rms_m"] / self.limit
-        used = np.where(chosen, air_used(config, air_before, self.air), 0.0)
-        tension = measured["tension_mean_n"]
-        is_slack = slack(config, tension, self.length)
-        costs = cost_terms(config, is_slack, tension, tension, self.buckling)
-        self.time = np.where(chosen, self.time + dt, self.time)
-        self.slack_periods = np.where(chosen, slack_in_a_row(self.slack_periods, is_slack), self.slack_periods)
-        end, never = config.scene.tube.helix_length, np.zeros(len(self), dtype=bool)
-        ended = ending(config, self.length, np.full(len(self), end), self.slack_periods, self.time, chosen, never)
-        over = ended.over
-        left = np.where(over, end - self.length, 0.0)
-        outcome = Outcome(travel, travel * capped_square(config, ratio), np.full(len(self), dt), used, left, never)
-        terms = reward_terms(config, outcome, change)
-        reward = np.where(chosen, sum(terms.values()), 0.0)
-        self.running &= ~over
+        air = np.where(stepped, rules.air_used(config, air_before, self.air), 0.0)
+        is_slack = rules.slack(config, tension, self.inserted_length)
+        costs = rules.cost_terms(config, is_slack, tension, tension, self.buckling)
+        self.time = np.where(stepped, self.time + config.period, self.time)
+        self.slack_steps = np.where(stepped, rules.consecutive_slack(self.slack_steps, is_slack), self.slack_steps)
+        length, never = self.inserted_length, np.zeros(len(self), dtype=bool)
+        endings = rules.ending(config, length, self.helix_length, self.slack_steps, self.time, stepped, never)
+        squares = travel * rules.capped_square(config, ratio)
+        scored = rules.score(
+            config, stepped, endings, costs, inspected=travel, squares=squares, air=air,
+            uninspected=self.helix_length - length, action_change=change,
+        )  # fmt: skip
         added = {
-            "reward": reward,
+            "reward": scored.reward,
             "inspected": travel,
             "within_limit": np.where(ratio <= 1.0, travel, 0.0),
-            "air": used,
-            "lost_drive_events": self.slack_periods == config.lost_drive_periods,
+            "air": air,
+            "lost_drive_events": self.slack_steps == config.lost_drive_periods,
             **{f"cost_{name}": values for name, values in costs.items()},
             "radial": travel * measured["radial_rms_m"] ** 2,
             "acceleration": travel * measured["radial_acceleration_rms_m_per_s2"] ** 2,
         }
         for name, values in added.items():
-            self.sums.setdefault(name, np.zeros(len(self)))[chosen] += values[chosen]
-        latest = observe(config, measured, normal[:, 5:])[:, None]
-        self.observed[chosen] = np.concatenate([self.observed[:, 1:], latest], axis=1)[chosen]
-        infos = self._infos(
-            measured,
-            {
-                "cost": np.sum(list(costs.values()), axis=0),
-                "target_feed_speed": targets[:, 0],
-                "target_air_supply_rate": targets[:, 1],
-                **{name: getattr(ended, name) for name in FAILURES},
-            },
-        )
-        for k, (earned, parts) in enumerate(zip(_rows(terms), _rows(costs), strict=True)):
-            infos[k]["reward_terms"], infos[k]["cost_terms"] = earned, parts
-            if not chosen[k]:
-                infos[k] = {}
-        for k in np.flatnonzero(over).tolist():
-            infos[k]["episode_kpis"] = self._kpis(k, ended)
-        return Step(self.observation.copy(), reward, ended.terminated, ended.truncated, infos)
-
-    def _draw(self, which: BoolArray) -> FloatArray:
-        """(N, DRAWS) standard normal draws of each probe's own generator; 0 for the others."""
-        normal = np.zeros((len(self), DRAWS))
-        for k in np.flatnonzero(which).tolist():
-            normal[k] = self.rng[k].normal(size=DRAWS)
-        return normal
+            self.sums.setdefault(name, np.zeros(len(self)))[stepped] += values[stepped]
+        return scored
 
     def _measured(self, normal: FloatArray) -> dict[str, FloatArray]:
         """Predicted values where the probes are, (N,) each, see ``observe``."""
         noise, scene = self.noise, self.config.scene
-        length = np.maximum(self.length, 1.0)
-        mean = self.map.tells(length, np.maximum(self.feed, 1e-3), self.air, self.tubes, scene)[0]
+        length = np.maximum(self.inserted_length, 1.0)
+        mean = self.map.predict(length, np.maximum(self.feed, 1e-3), self.air, self.tubes, scene)[0]
         vibration = mean + noise.bias + self.scatter["slow"] + noise.quick * normal[:, 1]
         drive = {"inserted_length": length, "feed_speed": self.feed, "air_supply_rate": self.air}
         steady = sliding_tension(self.tubes[:, 0], drive | {"helix_diameter": self.tubes[:, 3]}, scene)
@@ -329,33 +339,45 @@ class SurrogateEpisodes:
             "tension_mean_n": steady * self.tubes[:, 2] * np.exp(self.scatter["tension"]),
             "radial_acceleration_rms_m_per_s2": 10.0 ** (inputs @ np.array(noise.radial) + self.scatter["radial"]),
             "axial_acceleration_rms_m_per_s2": 10.0 ** (inputs @ np.array(noise.axial) + self.scatter["axial"]),
-            "inserted_length": self.length,
-            "remaining_length": scene.tube.helix_length - self.length,
+            "inserted_length": self.inserted_length,
+            "remaining_length": self.helix_length - self.inserted_length,
             "feed_speed": self.feed,
             "air_supply_rate": self.air,
-            "feed_action": self.actions[:, 0].astype(float),
-            "air_action": self.actions[:, 1].astype(float),
+            "previous_feed_action": self.actions[:, 0].astype(float),
+            "previous_air_action": self.actions[:, 1].astype(float),
         }
 
-    def _infos(self, measured: Mapping[str, FloatArray], more: Mapping[str, FloatArray]) -> list[dict[str, Any]]:
-        """Physical values of every probe, SI units; the noise in a flaw's band only where the map is of it."""
-        names = (
-            "inserted_length", "feed_speed", "air_supply_rate",
-            "radial_rms_m", "radial_acceleration_rms_m_per_s2", "tension_mean_n",
-        )  # fmt: skip
+    def _info_columns(self, measured: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+        """Physical values, SI units, (N,) each; the noise in a flaw's band only where the map is of it."""
         noise = {"noise_rms_m": measured["radial_rms_m"]} if self.map.measure == "snr" else {}
-        inspected = {"time": self.time, "inspected_length": self.length - self.start}
-        return _rows(inspected | {name: measured[name] for name in names} | noise | dict(more))
+        inspected = {"time": self.time, "inspected_length": self.inserted_length - self.start}
+        return inspected | {name: measured[name] for name in IN_INFO} | noise
 
-    def _kpis(self, k: int, ended: Ending) -> dict[str, float]:
+    def _infos(
+        self, stepped: BoolArray, measured: Mapping[str, FloatArray], scored: Score, targets: FloatArray
+    ) -> list[dict[str, Any]]:
+        columns = self._info_columns(measured) | {
+            "cost": np.sum(list(scored.costs.values()), axis=0),
+            "target_feed_speed": targets[:, 0],
+            "target_air_supply_rate": targets[:, 1],
+            **{name: scored.endings[name] for name in FAILURES},
+        }
+        infos = _rows(columns)
+        for k, (rewards, costs) in enumerate(zip(_rows(scored.rewards), _rows(scored.costs), strict=True)):
+            infos[k]["reward_terms"], infos[k]["cost_terms"] = rewards, costs
+            if not stepped[k]:
+                infos[k] = {}
+        return infos
+
+    def _kpis(self, k: int, scored: Score) -> dict[str, float]:
         """Figures of an episode that ends: those of ``Episodes`` that do not need samples of the motion."""
         sums = {name: float(values[k]) for name, values in self.sums.items()}
         radial, acceleration = sums.pop("radial"), sums.pop("acceleration")
         costs = {name: sums.pop(f"cost_{name}") for name in COSTS}
         values: dict[str, Any] = sums | {"time": float(self.time[k]), "costs": costs}
-        tally = Tally(**values)
-        length, inspected = float(self.config.scene.tube.helix_length - self.start[k]), max(tally.inspected, 1e-9)
-        return tally.totals(length, ended.kpis(k)) | {
+        metrics = EpisodeMetrics(**values)
+        length, inspected = float(self.helix_length[k] - self.start[k]), max(metrics.inspected, 1e-9)
+        return metrics.totals(length, scored.kpis(k)) | {
             "radial_rms_m": float(np.sqrt(radial / inspected)),
             "radial_acceleration_rms_m_per_s2": float(np.sqrt(acceleration / inspected)),
         }
@@ -368,13 +390,26 @@ def _rows(columns: Mapping[str, npt.NDArray[Any]]) -> list[dict[str, Any]]:
     return [dict(zip(names, row, strict=False)) for row in rows]  # strict costs a tenth of a step
 
 
-def _check(config: TaskConfig, arguments: Mapping[str, Any], vibration: VibrationMap) -> None:
+def _check_tube(context: Context, scene: Scene, vibration: VibrationMap) -> None:
+    """Raise ValueError where a map does not cover the tube and probe of an episode."""
+    if scene.probe != vibration.scene.probe:
+        raise ValueError("probe: the map is of another one; simulate with fidelity fast or finer")
+    low, high = vibration.ranges
+    for k, name in enumerate(CONTEXT):
+        if not low[k] - 1e-9 <= getattr(context, name) <= high[k] + 1e-9:
+            raise ValueError(
+                f"{name} = {getattr(context, name):g} is outside the map's range {low[k]:g} to {high[k]:g}:"
+                " simulate with fidelity fast or finer"
+            )
+
+
+def _check_task(config: TaskConfig, probes: Probes, vibration: VibrationMap) -> None:
     """Raise ValueError where the map does not predict a task."""
     length, longest = config.scene.tube.helix_length, vibration.scene.tube.helix_length
     refused = {
         "growing = False": not config.growing,
         "passes = 'both'": config.returns,
-        f"probes = {arguments['probes']!r}": arguments["probes"] != "scene",
+        f"probes = {probes!r}": probes != "scene",
         "sensor_dropout": config.sensor_dropout > 0.0,
         "friction_drift": config.friction_drift != 0.0,
         f"helix_length = {length:g} m (the map ends at {longest:g} m)": length > longest * (1.0 + 1e-9),

@@ -62,7 +62,7 @@ class VibrationMap:
     def __hash__(self) -> int:
         return hash(self.digest) if self.digest else id(self)
 
-    def tells(
+    def predict(
         self, length: FloatArray, feed: FloatArray, air: FloatArray, context: FloatArray, scene: Scene
     ) -> tuple[FloatArray, FloatArray]:
         """Mean and standard deviation (n,) of log10(radial rms / 0.1 mm) of a metre.
@@ -155,7 +155,7 @@ def stored_map() -> VibrationMap:
 
 
 def features_of(length: FloatArray, feed: FloatArray, air: FloatArray, context: FloatArray) -> FloatArray:
-    """(n, 7) inputs of the map, each within some -2 to 2; arguments as ``VibrationMap.tells``."""
+    """(n, 7) inputs of the map, each within some -2 to 2; arguments as ``VibrationMap.predict``."""
     return np.column_stack(
         [
             length / 30.0 - 1.0,
@@ -174,7 +174,7 @@ def expected_cost(
 ) -> FloatArray:
     """Expected cost (n,) of a metre, without progress: vibration, time and air, by the task's weights.
 
-    ``mean`` and ``deviation`` (n,) are those of ``VibrationMap.tells``; feed in m/s, air in m3/s.
+    ``mean`` and ``deviation`` (n,) are those of ``VibrationMap.predict``; feed in m/s, air in m3/s.
     """
     limit = rms_limit(config)
     nodes, weights = np.polynomial.hermite_e.hermegauss(7)

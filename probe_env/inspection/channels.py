@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import repeat
 from typing import Final
 
 import numpy as np
 from scipy.signal import find_peaks
 
 from probe_env.arrays import FloatArray
-from probe_env.inspection.meter import SPAN, response_of
-from probe_env.inspection.sensor import Sensor, shape
+from probe_env.inspection.sensor import Sensor, power, shape
+from probe_env.inspection.snr import FREQUENCY, SPAN, passing_time
 
 SHOWN: Final = 10e-3
 """[s] over which channels are averaged before they are drawn, as an instrument's low-pass does."""
@@ -36,7 +37,7 @@ class Passage:
     place: FloatArray  # (k,) of the sensor from the helix's entrance
     feed: FloatArray  # (k,) feed speed
     radial: FloatArray  # (k,) displacement
-    spectrum: FloatArray  # (p, m) density by which the filter of each of p stretches weighs, at ``meter.FREQUENCY``
+    spectrum: FloatArray  # (p, m) density by which the filter of each of p stretches weighs, at ``snr.FREQUENCY``
     stretch: int  # samples in one of them
 
     @property
@@ -55,12 +56,12 @@ def along(sensor: Sensor, voltages: FloatArray) -> FloatArray:
     return np.asarray(voltages @ looks(sensor, sensor.flaw_angle))
 
 
-def flaw_signal(sensor: Sensor, place: FloatArray, flaws: Sequence[Flaw]) -> FloatArray:
-    """(k,) voltage of flaws in their own direction [V]."""
+def _pulses(place: FloatArray, centres: Iterable[float], amplitudes: Iterable[float], width: float) -> FloatArray:
+    """(k,) sum of shapes of a width [m] around their centres [m]."""
     signal = np.zeros(len(place))
-    for flaw in flaws:
-        near = np.abs(place - flaw.place) < FLAW_REACH * sensor.flaw_width
-        signal[near] += sensor.amplitude(flaw.depth) * shape((place[near] - flaw.place) / sensor.flaw_width)
+    for centre, amplitude in zip(centres, amplitudes, strict=False):
+        near = np.abs(place - centre) < FLAW_REACH * width
+        signal[near] += amplitude * shape((place[near] - centre) / width)
     return signal
 
 
@@ -71,11 +72,7 @@ def support_places(spacing: float, length: float) -> FloatArray:
 
 def support_signal(sensor: Sensor, place: FloatArray, supports: FloatArray) -> FloatArray:
     """(k,) voltage of supports [V], alike in both channels."""
-    signal = np.zeros(len(place))
-    for support in supports:
-        near = np.abs(place - support) < FLAW_REACH * sensor.support_width
-        signal[near] += sensor.support_signal * shape((place[near] - support) / sensor.support_width)
-    return signal
+    return _pulses(place, supports, repeat(sensor.support_signal), sensor.support_width)
 
 
 def channels(
@@ -85,7 +82,9 @@ def channels(
     moved = passage.radial - passage.radial.mean()
     voltages = sensor.gain * np.outer(moved, looks(sensor, 0.0))
     voltages += sensor.square_gain * ((moved / (0.5 * bore)) ** 2)[:, None]
-    voltages += np.outer(flaw_signal(sensor, passage.place, flaws), looks(sensor, sensor.flaw_angle))
+    amplitudes = [float(sensor.amplitude(flaw.depth)) for flaw in flaws]
+    signal = _pulses(passage.place, [flaw.place for flaw in flaws], amplitudes, sensor.flaw_width)
+    voltages += np.outer(signal, looks(sensor, sensor.flaw_angle))
     voltages += support_signal(sensor, passage.place, supports)[:, None]
     deviation = math.sqrt(0.5 * sensor.noise_density / passage.sample_period)
     voltages += deviation * rng.normal(size=voltages.shape)
@@ -106,8 +105,12 @@ def filtered(sensor: Sensor, passage: Passage, signal: FloatArray) -> FloatArray
     values = np.zeros(len(signal))
     for number, begin in enumerate(range(0, len(signal), passage.stretch)):
         part = padded[begin : begin + passage.stretch + 2 * around]
-        feed, spectrum = float(passage.feed[begin]), passage.spectrum[number]
-        out = response_of(sensor, feed, spectrum, part, passage.sample_period)
+        frequency = np.fft.rfftfreq(len(part), passage.sample_period)
+        motion = np.interp(frequency, FREQUENCY, passage.spectrum[number], right=0.0)
+        noise = sensor.seen_gain**2 * motion + sensor.noise_density
+        gain = np.sqrt(power(frequency * passing_time(sensor, float(passage.feed[begin])))) / noise
+        deviation = np.sqrt((gain**2 * noise).sum() * (frequency[1] - frequency[0]))
+        out = np.fft.irfft(np.fft.rfft(part) * -1j * gain, len(part)) / deviation
         values[begin : begin + passage.stretch] = out[around : around + passage.stretch]
     return values
 

@@ -10,8 +10,8 @@ from agents.app import schedules
 from agents.app.forms import TubeForm, text_of, tube_fields, value_of
 from agents.app.schedules import AIR, FEED, LENGTH, MISSING
 from agents.cli import main
+from agents.policies.cases import load_case
 from agents.policies.catalogue import DATA
-from agents.policies.places import place_at
 from agents.records.shipped import shipped_names
 from agents.studies.shipped.best_schedules import MapCost
 from probe_env import Plant
@@ -113,7 +113,7 @@ def test_a_refused_change_has_the_message_of_the_command_and_changes_nothing(tmp
     assert capsys.readouterr().err == f"probe-env: error: {path}: {error.value}\n"
 
 
-def test_points_are_a_schedule_file():
+def test_points_are_a_schedule_file_and_refused_as_one():
     schedule = Schedule.read("configs/schedules/example.csv")
     points = schedules.points_of(schedule)
     restored = schedules.schedule_of(points)
@@ -122,6 +122,10 @@ def test_points_are_a_schedule_file():
     assert restored.feed_speed == schedule.feed_speed
     assert restored.air_supply_rate == pytest.approx(schedule.air_supply_rate, rel=1e-6)  # six digits
     assert schedules.csv_text(points).startswith("# interpolation: linear\n")
+    points[FEED][0] = 9.0
+    message = "schedule: line 3, feed_speed_m_per_s = 9.0 is outside the accepted range 0 to 2 m/s"
+    with pytest.raises(ValueError, match=message):
+        schedules.schedule_of(points)
 
 
 def test_points_are_tidied_after_a_drag():
@@ -132,24 +136,12 @@ def test_points_are_tidied_after_a_drag():
     assert tidy[LENGTH] == [5.0, 12.5, 20.0]
     assert tidy[FEED][1] == config.feed_speeds[1]  # the middle of 9 and 0.1 is out of range
     assert tidy[AIR] == [90.0, 90.0, 100.0]
-    assert (
-        np.diff(schedules.tidied({LENGTH: [5.0, 5.0], FEED: [0.1, 0.2], AIR: [60.0, 60.0]}, config)[LENGTH]).min() > 0.0
-    )
-    more = schedules.with_point(tidy, config)
-    assert more[LENGTH] == [5.0, 12.5, 20.0, 40.0]
-    schedules.schedule_of(more)
-
-
-def test_invalid_points_are_refused_as_their_file_is():
-    points = schedules.points_of(Schedule.read("configs/schedules/example.csv"))
-    points[FEED][0] = 9.0
-    message = "schedule: line 3, feed_speed_m_per_s = 9.0 is outside the accepted range 0 to 2 m/s"
-    with pytest.raises(ValueError, match=message):
-        schedules.schedule_of(points)
+    tidy = schedules.tidied({LENGTH: [5.0, 5.0], FEED: [0.1, 0.2], AIR: [60.0, 60.0]}, config)
+    assert np.diff(tidy[LENGTH]).min() > 0.0
 
 
 def test_the_prediction_is_the_objective_of_the_search_for_schedules():
-    place, schedule = place_at(None, "test", 6), Schedule.read(DATA / "best-schedule.csv")
+    place, schedule = load_case(None, "test", 6), Schedule.read(DATA / "best-schedule.csv")
     prediction = schedules.predict(schedule, place)
     cost = MapCost(place.contexts, place.config, place.vibration)
     assert prediction.reward == pytest.approx(cost.reward(schedule), rel=1e-9)  # sums in another order
@@ -161,7 +153,7 @@ def test_the_prediction_is_the_objective_of_the_search_for_schedules():
 
 
 def test_every_offered_overlay_is_a_line():
-    place = place_at(EXAMPLE, "test", 1)
+    place = load_case(EXAMPLE, "test", 1)
     for name in (*schedules.BY_LENGTH, *shipped_names("schedules")):
         line = schedules.policy_line(name, place)
         assert len(line.length) == len(line.feed) == len(line.air) > 1, name

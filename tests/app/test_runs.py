@@ -13,10 +13,10 @@ from agents.app.run_store import new_folder, read_request, stored_run, stored_ru
 from agents.app.runs import MANUAL, Command, ProbeShape, RunQueue, RunRequest, flaw_signal
 from agents.evaluation.folder import episodes_of
 from agents.evaluation.run import evaluate_plan, plan_of
-from agents.policies.places import place_at
+from agents.policies.cases import load_case
 from probe_env.inspection.detection import threshold
-from probe_env.inspection.meter import FREQUENCY
 from probe_env.inspection.sensor import GROOVE, Sensor
+from probe_env.inspection.snr import FREQUENCY
 
 LONG = 120.0
 """Time limit for a run of seconds [s]."""
@@ -35,6 +35,14 @@ def tube(tmp_path):
     path = tmp_path / "short.toml"
     path.write_text("[tube]\nhelix_length = 7.0\n[contact]\nfriction = { low = 0.1, high = 0.2 }\n")
     return path
+
+
+class SlowRequest(RunRequest):
+    """A request that takes 0.2 s to send."""
+
+    def __reduce__(self):
+        time.sleep(0.2)
+        return RunRequest.model_validate_json, (self.model_dump_json(),)
 
 
 def request(folder, short, **changes):
@@ -57,12 +65,14 @@ def test_a_run_equals_the_evaluation_of_the_command_bit_for_bit(queue, tube, tmp
     run = queue.add(request(tmp_path / "app", tube))
     assert queue.wait(run, LONG)
     assert (run.state, run.done, run.info.planned) == ("finished", 4, 4)
-    plan = plan_of(run.request.policies, place_at(tube, "test", 2), 1, "fast")
+    plan = plan_of(run.request.policies, load_case(tube, "test", 2), 1, "fast")
     table = evaluate_plan(plan, tmp_path / "command")
     stored = pd.read_parquet(tmp_path / "app" / "episodes.parquet")
     pd.testing.assert_frame_equal(stored, table, check_exact=True)
     assert episodes_of(tmp_path / "app").read() == episodes_of(tmp_path / "command").read()
     assert (tmp_path / "app" / "report.html").exists()
+    shape, last = run.frame.shape, run.trace(run.frame.unit)  # heading and picture are of the same insertion
+    assert shape.observation["inserted_length"] == pytest.approx(last["inserted_length"][-1], rel=1e-6)
     for unit in plan.units():
         trace = run.trace(unit)
         episode = table[(table["policy"] == unit[0]) & (table["context"] == unit[1])].iloc[0]
@@ -96,7 +106,9 @@ def test_pause_step_look_and_go_change_nothing(queue, tube, tmp_path):
 
 def test_a_stopped_run_is_resumed_by_its_stored_request(queue, tube, tmp_path):
     whole = request(tmp_path / "whole", tube)
-    run = queue.add(whole, [Command("pause")])
+    run = queue.add(SlowRequest(**dict(whole)))
+    wait_for(lambda: run.state == "running", run)
+    queue.send(run, Command("pause"))  # not lost, though the run has only begun
     wait_paused(run)
     queue.send(run, Command("stop"))
     assert queue.wait(run, LONG)
@@ -112,20 +124,20 @@ def test_a_stopped_run_is_resumed_by_its_stored_request(queue, tube, tmp_path):
 @pytest.mark.slow
 def test_a_killed_worker_loses_no_finished_insertion(queue, tube, tmp_path):
     """It is killed when the first insertion is stored, while ``slow`` is still under way at ten periods a second."""
-    kept = request(tmp_path / "killed", tube, policies=("constant", "slow"), limit=1)
-    run = queue.add(kept, [Command("pace", (10.0,))])
-    wait_for(lambda: episodes_of(kept.output).read(), run)
+    killed = request(tmp_path / "killed", tube, policies=("constant", "slow"), limit=1)
+    run = queue.add(killed, [Command("pace", (10.0,))])
+    wait_for(lambda: episodes_of(killed.output).read(), run)
     os.kill(queue._process.pid, signal.SIGKILL)
     assert queue.wait(run, LONG)
     assert run.state == "failed"
     assert "the worker process died (exit status -9): finished insertions are stored" in run.problem
-    run = queue.add(read_request(kept.output))
+    run = queue.add(read_request(killed.output))
     assert queue.wait(run, LONG)
     assert run.state == "finished"
-    lines = (kept.output / "episodes.jsonl").read_text().splitlines()
+    lines = (killed.output / "episodes.jsonl").read_text().splitlines()
     assert len(lines) == 2  # nothing lost, nothing repeated
-    plan = plan_of(kept.policies, place_at(tube, "test", 1), 1, "fast")
-    assert {key for key, *_ in plan.planned()} == episodes_of(kept.output).read().keys()
+    plan = plan_of(killed.policies, load_case(tube, "test", 1), 1, "fast")
+    assert {key for key, *_ in plan.planned()} == episodes_of(killed.output).read().keys()
 
 
 def test_a_manual_drive_is_a_policy_of_the_evaluation(queue, tube, tmp_path):

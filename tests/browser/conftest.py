@@ -1,4 +1,7 @@
-"""The app's server in its own process, and Chromium: `make test-app`."""
+"""The app's server in its own process, and Chromium: `make test-app`.
+
+With PROBE_ENV_THROTTLE=6 the browser is six times slower, as on a busy machine.
+"""
 
 import os
 import re
@@ -14,11 +17,6 @@ from playwright.sync_api import sync_playwright
 CHROMIUM = os.environ.get("PROBE_ENV_CHROMIUM", "/usr/bin/chromium")
 LONG = 120_000
 """Time limit for something that takes seconds [ms]."""
-SHORT_TUBE = """[tube]
-helix_length = 7.0
-[contact]
-friction = { low = 0.1, high = 0.2 }
-"""
 
 
 class App:
@@ -58,20 +56,18 @@ def browser():
         chromium.close()
 
 
-@pytest.fixture
-def tube(tmp_path):
+@pytest.fixture(scope="session")
+def tube(tmp_path_factory):
     """A tube of 7 m, in which an insertion is short."""
-    path = tmp_path / "short.toml"
-    path.write_text(SHORT_TUBE)
+    path = tmp_path_factory.mktemp("tube") / "short.toml"
+    path.write_text("[tube]\nhelix_length = 7.0\n[contact]\nfriction = { low = 0.1, high = 0.2 }\n")
     return path
 
 
 @pytest.fixture(scope="session")
-def app(tmp_path_factory):
+def app(tmp_path_factory, tube):
     """An app with a short tube, shared by tests that do not change its state."""
-    folder = tmp_path_factory.mktemp("app")
-    (folder / "short.toml").write_text(SHORT_TUBE)
-    with served(folder / "runs", folder / "short.toml") as running:
+    with served(tmp_path_factory.mktemp("app"), tube) as running:
         yield running
 
 
@@ -87,15 +83,17 @@ def opened(browser, app, width=1280):
     context = browser.new_context(viewport={"width": width, "height": 900}, locale="en-GB")
     page = context.new_page()
     page.set_default_timeout(LONG)
-    asked, wrong = [], []
-    page.on("request", lambda request: asked.append(request.url))
-    page.on("websocket", lambda socket: asked.append(socket.url.replace("ws:", "http:", 1)))
-    page.on("pageerror", lambda error: wrong.append(str(error)))
-    page.on("console", lambda message: wrong.append(message.text) if message.type == "error" else None)
+    urls, errors = [], []
+    page.on("request", lambda request: urls.append(request.url))
+    page.on("websocket", lambda socket: urls.append(socket.url.replace("ws:", "http:", 1)))
+    page.on("pageerror", lambda error: errors.append(str(error)))
+    page.on("console", lambda message: errors.append(message.text) if message.type == "error" else None)
+    if throttle := os.environ.get("PROBE_ENV_THROTTLE"):
+        context.new_cdp_session(page).send("Emulation.setCPUThrottlingRate", {"rate": float(throttle)})
     page.goto(app.address)
     page.get_by_text("Expected:").wait_for()
-    page.asked = asked
+    page.wait_for_function("window.probe_env_is_ready")
     yield page
-    assert [url for url in asked if not url.startswith((app.address, "data:", "blob:"))] == []
-    assert wrong == []
+    assert [url for url in urls if not url.startswith((app.address, "data:", "blob:"))] == []
+    assert errors == []
     context.close()

@@ -15,19 +15,19 @@ from agents.cli import main
 from agents.evaluation.kpis import kpis_of
 from agents.evaluation.statistics import short
 
-PLACE = """([chart, k]) => {
+PLACE = """([chart, source, x, y]) => {
     const document = Bokeh.documents[0];
-    const points = document.get_model_by_name("points").data;
+    const data = document.get_model_by_name(source).data;
     const view = Bokeh.index.find_one(document.get_model_by_name(chart));
     const box = view.canvas_view.el.getBoundingClientRect();
-    return [box.left + view.frame.x_scale.compute(points.inserted_length_m[k]),
-            box.top + view.frame.y_scale.compute(points[chart][k])];
+    return [box.left + view.frame.x_scale.compute(data[x][0]), box.top + view.frame.y_scale.compute(data[y][0])];
 }"""
 FEED = "feed_speed_m_per_s"
+FIRST_POINT = (FEED, "points", "inserted_length_m", FEED)
 
 
 def screen(page, number):
-    page.get_by_role("button", name=re.compile(f"^{number} ")).click()
+    page.get_by_role("button", name=re.compile(f"^{number} [A-Z]")).click()
 
 
 def expected(page):
@@ -36,8 +36,8 @@ def expected(page):
 
 
 def points(page):
-    return page.evaluate('Object.fromEntries(Object.entries(Bokeh.documents[0].get_model_by_name("points").data)'
-                         ".map(([name, values]) => [name, Array.from(values)]))")  # fmt: skip
+    data = "Object.entries(Bokeh.documents[0].get_model_by_name('points').data)"
+    return page.evaluate(f"Object.fromEntries({data}.map(([name, values]) => [name, Array.from(values)]))")
 
 
 def seconds(status):
@@ -47,22 +47,39 @@ def seconds(status):
 
 
 def fill(page, label, text):
-    box = page.get_by_label(label, exact=True)
+    box = page.get_by_label(label, exact=True).locator("visible=true")
     box.fill(text)
     box.press("Enter")
 
 
-def run(page):
+def start(page):
+    """Start a run; returns where its state is shown."""
     screen(page, 3)
+    status = page.locator("[data-run]")
+    status.or_(page.get_by_text("Nothing has been run yet")).wait_for()
+    earlier = status.get_attribute("data-run") if status.count() else ""
     page.get_by_role("button", name="Run", exact=True).click()
-    page.locator("[data-state=waiting], [data-state=running]").wait_for()  # not the end of the previous one
-    page.locator("[data-state=finished]").wait_for()
+    status = page.locator(f"[data-run]:not([data-run='{earlier}'])")
+    status.wait_for()
+    return status
 
 
-def position(page, code, argument=None):
-    """Position of something in the window, once the layout has settled."""
+def finish(page, status):
+    status.and_(page.locator("[data-state=finished]")).wait_for()
+
+
+def drag(page, x, y, dx, dy):
+    """Begin a drag; the mouse stays down. The pause before it is longer than what Bokeh takes for a long press."""
+    page.mouse.move(x, y)
+    page.mouse.down()
+    page.wait_for_timeout(400)
+    page.mouse.move(x + dx, y + dy, steps=4)
+
+
+def position(page, *names):
+    """Position of the first point of a chart in the window, once the layout has settled."""
     last = None
-    while (now := page.evaluate(code, argument)) != last:
+    while (now := page.evaluate(PLACE, names)) != last:
         last = now
         page.wait_for_timeout(300)
     return now
@@ -70,10 +87,8 @@ def position(page, code, argument=None):
 
 def test_dragging_a_point_changes_the_prediction_while_it_moves(page):
     before, at = expected(page), points(page)
-    x, y = position(page, PLACE, [FEED, 0])
-    page.mouse.move(x, y)
-    page.mouse.down()
-    page.mouse.move(x, y + 30, steps=3)
+    x, y = position(page, *FIRST_POINT)
+    drag(page, x, y, 0, 30)
     page.get_by_text("Expected:").filter(has_not_text=f"{before} s").wait_for()
     during = expected(page)
     assert during > before  # slower takes longer, and the button is still down
@@ -89,13 +104,12 @@ def test_dragging_a_point_changes_the_prediction_while_it_moves(page):
 
 def test_a_tap_adds_a_point_to_both_charts(page):
     before = points(page)
-    x, y = position(page, PLACE, [FEED, 0])
+    x, y = position(page, *FIRST_POINT)
     page.mouse.click(x + 60, y + 40)
     added = "(n) => Bokeh.documents[0].get_model_by_name('points').data.inserted_length_m.length == n"
     page.wait_for_function(added, arg=len(before[FEED]) + 1)
-    page.wait_for_function(
-        "() => Math.min(...Bokeh.documents[0].get_model_by_name('points').data.air_supply_m3_per_h) > 0"
-    )
+    filled = "() => Math.min(...Bokeh.documents[0].get_model_by_name('points').data.air_supply_m3_per_h) > 0"
+    page.wait_for_function(filled)
     after = points(page)
     assert after["inserted_length_m"] == sorted(after["inserted_length_m"])
 
@@ -103,11 +117,9 @@ def test_a_tap_adds_a_point_to_both_charts(page):
 def test_a_run_pauses_steps_continues_and_equals_the_command(page, app, tmp_path):
     """Bit for bit in the folder; the comparison shows its report."""
     screen(page, 3)
-    page.get_by_text("5 ×", exact=True).click()
-    page.get_by_role("button", name="Run", exact=True).click()
-    page.locator("[data-state=running]").wait_for()
+    page.get_by_text("1 ×", exact=True).first.click()
+    status = start(page)
     page.get_by_role("button", name="pause", exact=True).click()
-    status = page.locator("[data-state=running]")
     status.filter(has_text="paused").wait_for()
     before = seconds(status)
     page.get_by_role("button", name="step", exact=True).click()
@@ -116,7 +128,7 @@ def test_a_run_pauses_steps_continues_and_equals_the_command(page, app, tmp_path
     page.get_by_text("Radial rms of the sensor in this time").wait_for()
     page.get_by_text("no limit").click()
     page.get_by_role("button", name="continue", exact=True).first.click()
-    page.locator("[data-state=finished]").wait_for()
+    finish(page, status)
     folder = max(path for path in app.output.glob("*-my-schedule"))
     command = json.loads((folder / "manifest.json").read_text())["command"].split()[1:]
     command[command.index("--output") + 1] = str(tmp_path / "again")
@@ -137,31 +149,16 @@ def test_a_run_pauses_steps_continues_and_equals_the_command(page, app, tmp_path
     assert opened_report.value.get_by_role("heading", name="Feed policies compared").is_visible()
 
 
-FLAW = """() => {
-    const document = Bokeh.documents[0];
-    const view = Bokeh.index.find_one(document.get_model_by_name("strip"));
-    const box = view.canvas_view.el.getBoundingClientRect();
-    const flaw = document.get_model_by_name("flaw").data;
-    return [box.left + view.frame.x_scale.compute(flaw.time[0]), box.top + view.frame.y_scale.compute(flaw.at[0])];
-}"""
-
-
 def test_a_dragged_flaw_moves_in_x_and_y(page):
-    run(page)
+    finish(page, start(page))
     page.get_by_text("A flaw of 20 %").wait_for()
     page.get_by_text("A flaw of 20 %").evaluate("(words) => words.scrollIntoView(false)")  # the chart stands above it
     signals = "() => Array.from(Bokeh.documents[0].get_model_by_name('signals').data.x)"
     loop = "() => Array.from(Bokeh.documents[0].get_model_by_name('loop').data.x).length"
-    x_y, before = position(page, FLAW), page.evaluate(signals)
+    x_y, before = position(page, "strip", "flaw", "time", "at"), page.evaluate(signals)
     moved = "() => Bokeh.documents[0].get_model_by_name('flaw-before').value < 0.49"
-    for _ in range(5):  # on a busy machine the browser can take a drag for a long press
-        page.mouse.move(*x_y)
-        page.mouse.down()
-        page.mouse.move(x_y[0] + 40, x_y[1] + 10, steps=4)
-        page.mouse.up()
-        page.wait_for_timeout(1000)
-        if page.evaluate(moved):
-            break
+    drag(page, *x_y, 40, 10)
+    page.mouse.up()
     page.wait_for_function(moved)
     changed = "(old) => Bokeh.documents[0].get_model_by_name('signals').data.x.some((value, k) => value != old[k])"
     page.wait_for_function(changed, arg=before)
@@ -183,22 +180,7 @@ INVALID = [
 ]
 
 
-def test_invalid_input_is_refused_at_its_field(page):
-    screen(page, 1)
-    page.get_by_text("Your own tube").wait_for()
-    for label, text, message in INVALID:
-        given = page.get_by_label(label, exact=True).first
-        before = given.input_value()
-        given.fill(text)
-        given.press("Enter")
-        page.get_by_role("alert").filter(has_text=message).wait_for()
-        given.fill(before)
-        given.press("Enter")
-        if label not in ("open a tube file", "save as"):
-            page.get_by_role("alert").filter(has_text=message).wait_for(state="detached")
-
-
-def test_an_invalid_schedule_file_is_refused(page, tmp_path):
+def test_invalid_input_is_refused_at_its_field(page, tmp_path):
     (tmp_path / "bad.csv").write_text("inserted_length_m,feed_speed_m_per_s,air_supply_m3_per_h\n5,9,60\n")
     for text, message in (
         (str(tmp_path / "bad.csv"), "line 2, feed_speed_m_per_s = 9.0 is outside the accepted range 0 to 2 m/s"),
@@ -206,15 +188,23 @@ def test_an_invalid_schedule_file_is_refused(page, tmp_path):
     ):
         fill(page, "open a schedule", text)
         page.get_by_role("alert").filter(has_text=message).wait_for()
+    screen(page, 1)
+    page.get_by_text("Your own tube").wait_for()
+    for label, text, message in INVALID:
+        before = page.get_by_label(label, exact=True).locator("visible=true").input_value()
+        fill(page, label, text)
+        page.get_by_role("alert").filter(has_text=message).wait_for()
+        fill(page, label, before)
+        if label not in ("open a tube file", "save as"):
+            page.get_by_role("alert").filter(has_text=message).wait_for(state="detached")
 
 
 def test_after_a_killed_server_finished_runs_are_listed_and_others_resume(browser, tube, tmp_path):
     with served(tmp_path / "runs", tube) as app:
         with opened(browser, app) as page:
-            run(page)
+            finish(page, start(page))
             page.get_by_text("1 ×", exact=True).first.click()
-            page.get_by_role("button", name="Run", exact=True).click()
-            page.locator("[data-state=running]").filter(has_text="m after").wait_for()
+            start(page).filter(has_text="m after").wait_for()
         app.kill()
         app.start()
         with opened(browser, app) as page:
@@ -223,7 +213,7 @@ def test_after_a_killed_server_finished_runs_are_listed_and_others_resume(browse
             runs.filter(has_text="001-my-schedule").filter(has_text="1 of 1 complete").wait_for()
             runs.filter(has_text="002-my-schedule").filter(has_text="interrupted: 0 of 2").wait_for()
             page.get_by_label("run", exact=True).locator("visible=true").select_option("002-my-schedule")
-            page.get_by_role("button", name="resume").click()
+            page.get_by_role("button", name="watch or resume").click()
             page.locator("[data-state=finished]").wait_for()
             runs.filter(has_text="002-my-schedule").filter(has_text="1 of 1 complete").wait_for()
 
@@ -234,7 +224,7 @@ def test_two_browsers_share_runs_but_not_schedules(browser, app):
         fill(one, "open a schedule", "best-schedule")
         one.wait_for_function("() => Bokeh.documents[0].get_model_by_name('points').data.inserted_length_m.length > 8")
         assert points(other) == before
-        run(one)
+        finish(one, start(one))
         newest = max(path.name for path in app.output.glob("*-my-*"))
         screen(other, 3)
         other.get_by_role("row").filter(has_text=newest).filter(has_text="complete").wait_for()
@@ -243,7 +233,7 @@ def test_two_browsers_share_runs_but_not_schedules(browser, app):
 def test_manual_drive_with_the_keyboard(page, app):
     page.keyboard.press("5")
     page.get_by_role("button", name="Start", exact=True).click()
-    page.get_by_text("by hand: score").wait_for()
+    page.get_by_text("by hand: reward").wait_for()
     feed = 'Bokeh.documents[0].get_model_by_name("hand-feed").value'
     before = page.evaluate(feed)
     page.keyboard.press("ArrowRight")
@@ -269,12 +259,11 @@ def test_every_screen_fits_and_its_picture_is_taken(browser, tmp_path, width):
     folder = Path(PICTURES or tmp_path)
     folder.mkdir(parents=True, exist_ok=True)
     with served(tmp_path / "output") as app, opened(browser, app, width) as page:
-        page.get_by_role("button", name="close").click()
         for number, title in enumerate(TITLES, start=1):
             screen(page, number)
             if title == "insertion":
                 page.get_by_text("20 ×", exact=True).first.click()  # so that the pause comes before the end
-                page.get_by_role("button", name="Run", exact=True).click()
+                status = start(page)
                 page.get_by_text(re.compile(r"[34]\d\.\d m after")).first.wait_for()
                 page.get_by_role("button", name="pause", exact=True).click()
                 page.get_by_role("button", name="slow motion").click()
@@ -285,16 +274,16 @@ def test_every_screen_fits_and_its_picture_is_taken(browser, tmp_path, width):
             if title == "manual":
                 page.get_by_text("8 ×", exact=True).click()
                 page.get_by_role("button", name="Start", exact=True).click()
-                page.get_by_text(re.compile(r"by hand: score .* 1\d\.\d m")).wait_for()
+                page.get_by_text(re.compile(r"by hand: reward .* 1\d\.\d m")).wait_for()
             page.wait_for_timeout(500)  # layout
-            assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+            page.wait_for_function("document.documentElement.scrollWidth <= innerWidth")
             taken = Image.open(io.BytesIO(page.screenshot(full_page=True)))
             few = taken.convert("RGB").quantize(256, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
             few.save(folder / f"{title}-{width}.png", optimize=True)  # a third of the bytes; rare colours stay
             if title == "insertion":
                 page.get_by_text("no limit").click()
                 page.get_by_role("button", name="continue", exact=True).first.click()
-                page.locator("[data-state=finished]").wait_for()
+                finish(page, status)
 
 
 def test_only_reports_are_served_and_only_to_this_host(page, app):

@@ -41,21 +41,13 @@ def test_extras_name_what_is_imported():
 
 
 def test_a_missing_module_is_named_with_the_smallest_extra(monkeypatch, capsys):
-    found = {module: extra_with(module) for module in ("tyro", "PIL", "emcee", "torch", "tornado", "x")}
-    assert found == {
-        "tyro": "commands",
-        "PIL": "commands",
-        "emcee": "plant",
-        "torch": "agents",
-        "tornado": "app",
-        "x": None,
-    }
+    assert [extra_with(name) for name in ("PIL", "emcee", "tornado", "x")] == ["commands", "plant", "app", None]
     for module, extra in (("tyro", "commands"), ("tyro.conf", "commands"), ("sb3_contrib", "agents")):
 
         def missing(*_, name=module):
             raise ModuleNotFoundError(f"No module named {name!r}", name=name)
 
-        monkeypatch.setattr("agents.cli._command", missing)
+        monkeypatch.setattr("agents.cli._run_command", missing)
         assert main(["simulate"]) == 2
         package = module.partition(".")[0]
         line = f'this command needs {package}, which is not installed: pip install "probe-env[{extra}]"'

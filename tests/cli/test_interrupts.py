@@ -12,7 +12,6 @@ import pytest
 from kills import hook_replace, hook_sync
 
 from agents.cli import main
-from agents.design.problem import DesignProblem
 from agents.evaluation.plan import Plan, run_plan
 from agents.policies.fixed import Constant
 from probe_env import load_contexts
@@ -39,7 +38,7 @@ def last_line(capsys):
     ("number", "jobs"), [(signal.SIGINT, 1), pytest.param(signal.SIGTERM, 2, marks=pytest.mark.slow)]
 )
 def test_an_interrupted_evaluation_says_how_many_are_stored_and_goes_on(number, jobs, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("agents.policies.places.TaskConfig", lambda: CONFIG)
+    monkeypatch.setattr("agents.policies.cases.TaskConfig", lambda: CONFIG)
     handlers = [signal.getsignal(n) for n in STATUS]
     output = tmp_path / "run"
     arguments = ["evaluate", "constant", "pi", "--limit", "3", "--jobs", str(jobs), "--output", str(output)]
@@ -51,7 +50,9 @@ def test_an_interrupted_evaluation_says_how_many_are_stored_and_goes_on(number, 
     assert [signal.getsignal(n) for n in STATUS] == handlers
     assert main(arguments) == 0
     assert f"2 of 6 episodes to do, stored in {output} one by one" in capsys.readouterr().err
-    plan = Plan({"constant": Constant(CONFIG.all_shown)}, load_contexts("test")[0:1], (0,), CONFIG.all_shown)
+    plan = Plan(
+        {"constant": Constant(CONFIG.full_observation)}, load_contexts("test")[0:1], (0,), CONFIG.full_observation
+    )
     table = pd.read_parquet(output / "episodes.parquet")
     assert len(table) == 6
     first = table[(table["policy"] == "constant") & (table["context"] == 0)]
@@ -71,36 +72,13 @@ def test_an_interrupted_simulation_names_the_files_that_were_written_before(tmp_
     assert sorted(path.name for path in (tmp_path / "run").iterdir()) == ["results.json", "scene.toml"]
 
 
-def test_an_interrupted_search_says_how_many_designs_are_stored(tmp_path, capsys, monkeypatch):
-    asked = []
-
-    def value(self, point, workers=None):
-        asked.append(point)
-        if len(asked) == 5:
-            os.kill(os.getpid(), signal.SIGINT)
-        return 10.0 - point["guide_length"], point["guide_length"], 1.0
-
-    monkeypatch.setattr(DesignProblem, "value", value)
-    output = tmp_path / "run"
-    assert main(["design", "--limit", "1", "--trials", "8", "--output", str(output)]) == 130
-    assert f"4 of 8 designs are stored in {output}; the same command goes on" in last_line(capsys)
-
-
 def command(prelude, *arguments, pipe=""):
     """The command as a process of its own, after a prelude; one that hangs is ended and fails."""
     code = f"import os, signal, sys\n{prelude}\nfrom agents.cli import main\nsys.exit(main())"
     line = shlex.join([sys.executable, "-c", code, *arguments]) + pipe
     environment = {name: value for name, value in os.environ.items() if name != "OPENBLAS_NUM_THREADS"}
-    return subprocess.run(
-        line,
-        shell=True,
-        executable="/bin/bash",
-        capture_output=True,
-        text=True,
-        cwd=ROOT,
-        timeout=300.0,
-        env=environment,
-    )
+    shell = {"shell": True, "executable": "/bin/bash", "env": environment, "cwd": ROOT, "timeout": 300.0}
+    return subprocess.run(line, capture_output=True, text=True, **shell)
 
 
 IN_IMPORT = """

@@ -27,7 +27,7 @@ def study(folder):
 
 
 def make_map(folder):
-    vibration_map.make_map(1, Request(folder), folder / "map.npz")
+    vibration_map.run(Request(folder, trials=1))
 
 
 def compare(folder):
@@ -41,8 +41,8 @@ def compare(folder):
         (study, 12, ((hook_sync, "episodes.jsonl", 4), (hook_replace, "comparison.csv", 1)), ("comparison.csv",)),
         (compare, 4, ((hook_sync, "designs.jsonl", 1),), ("designs.csv",)),
         pytest.param(
-            make_map, 14, ((hook_replace, "map.npz", 1), (hook_replace, "map.json", 1)), ("map.npz",),
-            marks=pytest.mark.slow,
+            make_map, 14, ((hook_replace, "vibration-map.npz", 1), (hook_replace, "vibration-map.json", 1)),
+            ("vibration-map.npz",), marks=pytest.mark.slow,
         ),
     ],
 )  # fmt: skip

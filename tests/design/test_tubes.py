@@ -7,7 +7,7 @@ import pytest
 
 from agents.cli import main
 from agents.design.problem import DesignProblem, design_problem
-from agents.policies.places import place_at
+from agents.policies.cases import load_case
 from probe_env import Design
 
 OWN = """
@@ -62,12 +62,9 @@ def test_designs_are_the_plant_s_probe_changed_and_folders_are_of_one_plant(tmp_
     (tmp_path / "mine.toml").write_text(OWN.replace("0.22", "0.23"))
     assert "of mine, as its file was then, not of mine" in refused(capsys, *run, "mine.toml")
     assert {path: path.read_bytes() for path in (tmp_path / "out").iterdir()} == before
-
-
-def test_trials_of_table_2_are_not_mixed_with_a_plant_s(capsys):
-    assert main(["compare", "original", "--limit", "1", "--output", "out"]) == 0
-    mine = ("compare", "own.toml", "--limit", "1", "--output", "out", "--tube", "mine.toml")
-    assert "holds trials in the tubes of table 2, not of mine" in refused(capsys, *mine)
+    assert main(["compare", "original", "--limit", "1", "--output", "study"]) == 0
+    mine = ("compare", "own.toml", "--limit", "1", "--output", "study", "--tube", "mine.toml")
+    assert "'study' holds trials in the tubes of table 2, not of mine" in refused(capsys, *mine)
 
 
 def test_what_does_not_fit_is_refused_before_any_work(tmp_path, capsys):
@@ -86,7 +83,7 @@ def test_what_does_not_fit_is_refused_before_any_work(tmp_path, capsys):
 
 
 def test_a_search_is_among_what_fits_the_plant(tmp_path, capsys, monkeypatch):
-    place = place_at(tmp_path / "mine.toml", "train", 2)
+    place = load_case(tmp_path / "mine.toml", "train", 2)
     problem = design_problem("best-constant", False, place, "standard")
     assert problem.axes["guide_float_diameter"][:2] == (0.016, pytest.approx(0.0185))
     assert problem.axes["feed_speed"][1] == 0.25
@@ -94,8 +91,8 @@ def test_a_search_is_among_what_fits_the_plant(tmp_path, capsys, monkeypatch):
     assert problem.probes["the plant's own"].line_density == 0.13
     for start in problem.starts():
         assert all(low <= start[name] <= high for name, (low, high, _) in problem.axes.items())
-    other = design_problem("best-constant", False, place_at(tmp_path / "other.toml", "train", 2), "standard")
-    usual = design_problem("best-constant", False, place_at(None, "train", 2), "standard")
+    other = design_problem("best-constant", False, load_case(tmp_path / "other.toml", "train", 2), "standard")
+    usual = design_problem("best-constant", False, load_case(None, "train", 2), "standard")
     assert len({one.identity() for one in (problem, other, usual)}) == 3
     assert (usual.cuts, list(usual.probes)) == ((), ["the study's original", "the study's improved"])
 
@@ -114,7 +111,7 @@ def test_a_probe_that_cannot_be_simulated_in_a_tube_is_judged_the_worst_there(tm
     monkeypatch.setattr("agents.design.trials.try_sections", lambda *_, **__: pytest.fail("it was simulated"))
     smooth = OWN.replace("40.0", "80.0").replace("0.12", "0.02").replace("0.22", "0.03")
     (tmp_path / "smooth.toml").write_text(smooth + "[air]\ndrag_coefficient = 1.5\n")
-    problem = design_problem("best-constant", False, place_at(tmp_path / "smooth.toml", "train", 1), "standard")
+    problem = design_problem("best-constant", False, load_case(tmp_path / "smooth.toml", "train", 1), "standard")
     soft = {name: low for name, (low, _, _) in problem.axes.items()}
     soft |= {name: problem.axes[name][1] for name in ("guide_length", "guide_float_diameter", "carrier_float_diameter")}
     squares, seconds, margin = problem.value(soft | {"air_supply_rate": problem.axes["air_supply_rate"][1]})
@@ -125,7 +122,7 @@ def test_a_probe_that_cannot_be_simulated_in_a_tube_is_judged_the_worst_there(tm
 def test_a_search_judges_over_the_plant_s_own_span(tmp_path):
     """A constant feed takes the span over it: 27.5 and 67.5 m at 0.2 m/s, unless the probe does not get through."""
     for name, span in (("mine", 27.5), ("other", 67.5)):
-        problem = design_problem("constant", False, place_at(tmp_path / f"{name}.toml", "train", 1), "standard")
+        problem = design_problem("constant", False, load_case(tmp_path / f"{name}.toml", "train", 1), "standard")
         _, seconds, margin = problem.value(problem.probes["the plant's own"].model_dump())
         assert seconds == pytest.approx(span / 0.2)
         assert margin > 0.0

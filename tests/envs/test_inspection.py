@@ -8,12 +8,12 @@ from pydantic import ValidationError
 from agents.policies.catalogue import make_policy
 from probe_env import Context, TaskConfig
 from probe_env.envs.episodes import Episodes
+from probe_env.envs.episodes.scoring import RoundTripScorer, StepRecord
+from probe_env.envs.task import uninspected_weight
 from probe_env.envs.task.observations import in_si_units
-from probe_env.envs.task.passes import StepRecord, passes_of
-from probe_env.envs.task.rules import Ending
 from probe_env.fidelity import resolve_fidelity
 from probe_env.files import FileError
-from probe_env.inspection.tally import POD_NAMES, TURN
+from probe_env.inspection.metrics import POD_NAMES, TURN
 from probe_env.schedule import Schedule
 
 SHORT = {"tube": {"helix_length": 8.0}}
@@ -22,34 +22,39 @@ LOOKS = ("in", "back", "best")
 HARD = Context(friction=0.2, helix_diameter=1.0)
 
 
-ONE, NONE = np.ones(1, dtype=bool), np.zeros((1, 0))
-DONE = Ending(complete=ONE, lost_drive=~ONE, diverged=~ONE, out_of_time=~ONE)
+ONE = np.ones(1, dtype=bool)
 
 
-def at(end, squares=ONE, measures=NONE):
+def at(end):
     """A period of one probe that ends at an inserted length."""
     zero = np.zeros(1)
     return StepRecord(
-        stepped=ONE, good=ONE, before=ONE, after=np.array([end]), helix_length=np.array([9.0]), feed_speed=ONE,
-        air=zero, seconds=zero, action_change=zero, squares=squares, within=squares <= 1.0, measures=measures,
+        stepped=ONE, good=ONE, before=ONE, after=np.array([end]), helix_length=np.array([9.0]), air=zero, seconds=zero,
+        action_change=zero, buckling_load=zero, window=None, signals={},
     )  # fmt: skip
 
 
+def begun(inspects="best"):
+    """Scorer of an inspection of 4 m from 5 m on."""
+    scorer = RoundTripScorer(1, TaskConfig(passes="both", inspects=inspects))
+    scorer.begin(0, 5.0, 9.0)
+    return scorer
+
+
+def counted(scorer, end, squares):
+    """Sums that a period adds: length, squares, within the limit, and a signal's squares, here the same ones."""
+    return scorer.count(at(end), np.array([[1.0, squares, squares <= 1.0, squares, squares]]))[0, :4]
+
+
 def shown(inspects, way_in, way_back):
-    """Sums of an inspection of 4 m from 5 m on, in half metres, with squares given for each metre of both ways."""
-    passes = passes_of(1, TaskConfig(passes="both", inspects=inspects), 1)
-    passes.begin(0, 5.0, 9.0)
-    total = np.zeros(4)
+    """Sums of an inspection in half metres, with squares for each metre of both ways."""
+    scorer, total = begun(inspects), np.zeros(4)
     for end in np.arange(5.5, 9.01, 0.5):
-        squares = np.array([way_in[int(end - 5.25)]])
-        counted = passes.count(at(end, squares, squares[:, None]))
-        total += [counted.inspected[0], counted.squares[0], counted.within[0], counted.measures[0, 0]]
-    assert not passes.ended(DONE, at(9.0)).complete.any()
+        total += counted(scorer, end, way_in[int(end - 5.25)])
+    assert not scorer.complete(ONE, at(9.0)).any()
     for end in (*np.arange(8.5, 4.99, -0.5), 4.9):  # a little too far
-        squares = np.array([way_back[max(int(end - 4.75), 0)]])
-        counted = passes.count(at(end, squares, squares[:, None]))
-        total += [counted.inspected[0], counted.squares[0], counted.within[0], counted.measures[0, 0]]
-    assert passes.ended(DONE, at(5.0)).complete.all()
+        total += counted(scorer, end, way_back[max(int(end - 4.75), 0)])
+    assert scorer.complete(~ONE, at(5.0)).all()
     return total.tolist()
 
 
@@ -66,28 +71,21 @@ def test_a_metre_may_be_cut_anywhere():
     """The better of both, metre by metre, does not depend on the periods' lengths."""
     totals = []
     for steps in (8, 37):
-        passes = passes_of(1, BOTH, 0)
-        passes.begin(0, 5.0, 9.0)
-        places, total = np.linspace(5.0, 9.0, steps + 1)[1:], 0.0
-        for end in places:
-            total += passes.count(at(end, np.array([2.0]))).squares[0]
-        passes.ended(DONE, at(9.0))
-        for end in (*places[-2::-1], 5.0):
-            total += passes.count(at(end, np.array([0.5]))).squares[0]
-        totals.append(total)
+        scorer, places = begun(), np.linspace(5.0, 9.0, steps + 1)[1:]
+        total = sum(counted(scorer, end, 2.0)[1] for end in places)
+        scorer.complete(ONE, at(9.0))
+        totals.append(total + sum(counted(scorer, end, 0.5)[1] for end in (*places[-2::-1], 5.0)))
     assert totals == pytest.approx([2.0, 2.0])
 
 
 def test_a_probe_owes_both_ways_until_it_is_back():
     """In 9 m from 5 m on: what is left to feed in and to draw back, whatever counts."""
     for inspects in LOOKS:
-        passes = passes_of(1, TaskConfig(passes="both", inspects=inspects), 0)
-        passes.begin(0, 5.0, 9.0)
-        owed = []
+        scorer, owed = begun(inspects), []
         for end in (7.0, 8.9, 9.0, 8.0, 8.5, 6.0, 4.9):  # drawn back, some of the way in again, and a little too far
-            inspected = passes.count(at(end)).inspected
-            passes.ended(DONE._replace(complete=ONE & (end == 9.0)), at(end))
-            owed.append(float(passes.uninspected(at(end), inspected)[0]))
+            counted(scorer, end, 1.0)
+            scorer.complete(ONE & (end == 9.0), at(end))
+            owed.append(float(scorer.uninspected(at(end))[0]))
         assert owed == pytest.approx([2.0 + 4.0, 0.1 + 4.0, 4.0, 3.0, 3.0, 1.0, 0.0])
 
 
@@ -123,7 +121,7 @@ def test_a_probe_that_is_left_in_the_tube_earns_less_than_one_that_comes_back():
             assert info["way"] == (1.0 if forth else -1.0)
             assert info["episode_kpis"]["complete"] == info["episode_kpis"]["lost_drive"] == 0.0
             owed = (8.0 - info["inserted_length"]) + 3.0 if forth else info["inserted_length"] - 5.0
-            expected = -env.config.uninspected_weight * owed
+            expected = -uninspected_weight(env.config) * owed
             assert info["reward_terms"]["uninspected"] == pytest.approx(expected, rel=1e-5), (inspects, seconds)
             assert info["episode_kpis"]["reward"] < whole - 5.0, (inspects, seconds)
 
@@ -158,7 +156,7 @@ def test_both_ways_find_what_either_finds():
     for inspects, calls in (("in", 0.05), ("back", 0.05), ("best", 0.1)):
         env, _, infos, _ = play(back=0.1, inspects=inspects, sensor={"false_calls": calls})
         curves[inspects] = np.array([infos[-1]["episode_kpis"][name] for name in POD_NAMES])
-    detection = env.episodes.passes.detection[0]
+    detection = env.episodes.scorer.metrics[0].detection
     back = [info["inserted_length"] for info in infos[1:] if info["way"] < 0.0]
     better, sum_ = np.maximum(curves["in"], curves["back"]), curves["in"] + curves["back"]
     assert ((curves["best"] >= better - 1e-9) & (curves["best"] <= sum_ + 1e-9)).all()
@@ -175,7 +173,7 @@ def test_policies_of_the_way_in_come_back_as_fast_as_they_can(tmp_path):
         "inserted_length_m,feed_speed_m_per_s,air_supply_m3_per_h,return_feed_speed_m_per_s,return_air_supply_m3_per_h\n"
         "5,0.4,63,0.1,40\n60,0.2,100,0.3,90\n"
     )
-    config = BOTH.all_shown
+    config = BOTH.full_observation
     episodes = Episodes(1, config, fidelity="fast")
     observation, _ = episodes.reset([0], {0: np.random.default_rng(0)}, {0: {"context": HARD}})
     back = observation.copy()
@@ -246,7 +244,7 @@ class TestTimeLapse:
         while many.running[1]:
             active = many.running.copy()
             step, single = many.step(actions, active), alone.step(actions[1:])
-            mixed += bool(active.all() and np.ptp(many.passes.way))
+            mixed += bool(active.all() and np.ptp(many.direction))
             assert np.array_equal(single.observation[0], step.observation[1])
             assert single.infos[0] == step.infos[1]
             assert np.array_equal(alone.window.radial_of(0), many.window.radial_of(1))

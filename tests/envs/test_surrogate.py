@@ -8,8 +8,8 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 from agents.evaluation.plan import Plan, run_plan
+from agents.policies.cases import case_of, load_case
 from agents.policies.catalogue import named_policies
-from agents.policies.places import place_at, place_of
 from agents.training.config import Training
 from agents.vec_env import ProbeVecEnv
 from probe_env import Context
@@ -19,7 +19,7 @@ from probe_env.envs.vibration_map import stored_map
 from probe_env.fidelity import PRESETS, Fidelity, resolve_fidelity
 from probe_env.physics.closed_forms import sliding_tension
 
-CONFIG = TaskConfig().all_shown
+CONFIG = TaskConfig().full_observation
 QUIET = Noise()
 TUBE = Context(friction=0.18, helix_diameter=1.4)
 
@@ -89,7 +89,7 @@ def test_without_noise_it_is_the_map_and_the_closed_form():
     assert info["feed_speed"] == pytest.approx(0.2)
     tubes = np.array([[TUBE.friction, TUBE.contact_stiffness, TUBE.drag_factor, TUBE.helix_diameter]])
     place = [np.array([info[name]]) for name in ("inserted_length", "feed_speed", "air_supply_rate")]
-    mean = stored_map().tells(*place, tubes, CONFIG.scene)[0][0]
+    mean = stored_map().predict(*place, tubes, CONFIG.scene)[0][0]
     assert info["radial_rms_m"] == pytest.approx(1e-4 * 10.0**mean)
     seen = dict(zip(("inserted_length", "feed_speed", "air_supply_rate"), place, strict=True))
     pulled = sliding_tension(np.array([TUBE.friction]), seen | {"helix_diameter": tubes[:, 3]}, CONFIG.scene)
@@ -99,14 +99,14 @@ def test_without_noise_it_is_the_map_and_the_closed_form():
 def test_feed_follows_its_ramp_and_air_its_lag():
     config = TaskConfig(ramp=0.1, air_lag=2.0)
     episodes = begun(1, config, noise=QUIET)
-    air, length = episodes.air[0], episodes.length[0]
+    air, length = episodes.air[0], episodes.inserted_length[0]
     episodes.step(config.actions(np.array([0.35]), np.array([0.03])))
     assert episodes.feed[0] == pytest.approx(0.3)
-    assert episodes.length[0] - length == pytest.approx(0.25, abs=5e-4)
+    assert episodes.inserted_length[0] - length == pytest.approx(0.25, abs=5e-4)
     assert episodes.air[0] == pytest.approx(0.03 + (air - 0.03) * np.exp(-0.5))
-    length = episodes.length[0]
+    length = episodes.inserted_length[0]
     episodes.step(config.actions(np.array([0.35]), np.array([0.03])))
-    assert episodes.length[0] - length == pytest.approx(0.35 - 0.5 * 0.05**2 / 0.1, abs=5e-4)
+    assert episodes.inserted_length[0] - length == pytest.approx(0.35 - 0.5 * 0.05**2 / 0.1, abs=5e-4)
 
 
 def test_scatter_is_stationary_and_correlated_as_it_says():
@@ -173,16 +173,16 @@ def test_other_environments_pictures_and_looking_ahead_are_refused():
         gym.make("probe_env/Insertion-v1", fidelity="surrogate", render_mode="rgb_array")
     with pytest.raises(ValueError, match=r"time_step: method = 'surrogate' simulates no motion"):
         Fidelity(method="surrogate", time_step=1e-4)
-    place = place_of(None, "test", 1)
-    planner = named_policies(("planner",), place.config.all_shown)
+    place = case_of(None, "test", 1)
+    planner = named_policies(("planner",), place.config.full_observation)
     with pytest.raises(ValueError, match="no simulator for a policy to look ahead with"):
-        run_plan(Plan(planner, place.contexts, (0,), place.config.all_shown, PRESETS["surrogate"]), None)
+        run_plan(Plan(planner, place.contexts, (0,), place.config.full_observation, PRESETS["surrogate"]), None)
 
 
 def test_a_plant_is_predicted_by_the_map_beside_its_file():
     env = gym.make("probe_env/Insertion-v1", fidelity="surrogate", tube="configs/tubes/snr.toml")
     episodes = env.unwrapped.episodes
-    own = place_at(Path("snr"), "test", 1).vibration
+    own = load_case(Path("snr"), "test", 1).vibration
     assert episodes.map == own != stored_map()
     env.reset(seed=0)
     info = env.step(env.action_space.sample())[4]
@@ -190,8 +190,8 @@ def test_a_plant_is_predicted_by_the_map_beside_its_file():
 
 
 def test_policies_keep_their_order():
-    place = place_of(None, "test", 6)
-    config = place.config.all_shown
+    place = case_of(None, "test", 6)
+    config = place.config.full_observation
     policies = named_policies(("constant", "best-schedule", "privileged"), config)
     table = run_plan(Plan(policies, place.contexts, (0,), config, PRESETS["surrogate"]), None)
     means = table.groupby("policy")["reward"].mean()

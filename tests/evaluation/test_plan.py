@@ -1,8 +1,9 @@
 """Playing a plan: paired, resumable at any moment, and never mixed with episodes of another setting or commit."""
 
+import contextlib
+import importlib
 import itertools
 import json
-import os
 from collections import deque
 
 import numpy as np
@@ -12,14 +13,13 @@ from kills import killed_at
 from plans import CONFIG, make_plan
 
 from agents.evaluation import evaluate
-from agents.evaluation import plan as plan_module
 from agents.evaluation.folder import episodes_of
 from agents.evaluation.kpis import CARRIED
-from agents.evaluation.plan import Plan, Playing, per_metre, run_plan
+from agents.evaluation.plan import Plan, RolloutRunner, per_metre, run_plan
 from agents.evaluation.run import evaluate_plan, plan_of
+from agents.policies.cases import case_of
 from agents.policies.catalogue import make_policy
 from agents.policies.fixed import Constant
-from agents.policies.places import place_of
 from probe_env import Context, Scene
 from probe_env.design import RANGES
 from probe_env.envs.task import TaskConfig
@@ -59,11 +59,11 @@ def test_the_profile_of_both_passes_reaches_to_the_turn():
     scene = Scene.model_validate({"tube": {"helix_length": 8.0}, "carrier_length": 4.0})
     config = TaskConfig(passes="both", scene=scene, time_limit=100.0)
     plan = Plan({"in and back": make_policy("fast-in", config)}, [Context()], (0,), config, BOTH_WAYS["fast"])
-    playing, lengths, rows = Playing(plan, deque(plan.units()), 1, 1), [], []
-    while not playing.over:
-        for ended in playing.step():
-            rows = [row[CARRIED.index("inserted_length")] for row in ended.profile]
-        lengths.append(playing.last.infos[0]["inserted_length"])
+    runner, lengths, rows = RolloutRunner(plan, deque(plan.units()), 1, 1), [], []
+    while not runner.over:
+        if list(runner.step()):
+            rows = [row[CARRIED.index("inserted_length")] for row in runner.profile[0]]
+        lengths.append(runner.last.infos[0]["inserted_length"])
     assert rows == lengths[: int(np.argmax(lengths)) + 1]
     assert rows[-1] == pytest.approx(8.0, abs=0.05)
 
@@ -74,47 +74,40 @@ def test_an_episode_does_not_depend_on_its_company(evaluated):
     same(alone.drop(columns="commit"), together.drop(columns="commit"))
 
 
-def test_an_interrupted_evaluation_continues_to_the_same_table(tmp_path, monkeypatch):
-    """Interrupted at the third, sixth and ninth new episode, and as each of the five files is to be put in place."""
-    whole = run_plan(make_plan(4, 3), tmp_path / "whole", batch=2, progress=False)
-    folder, stored = tmp_path / "interrupted", []
-
-    def interrupted_at(number, owner, name):
-        function, calls = getattr(owner, name), itertools.count(1)
-
-        def call(*arguments, **named):
-            if next(calls) == number:
-                raise KeyboardInterrupt
-            return function(*arguments, **named)
-
-        with monkeypatch.context() as patch:
-            patch.setattr(owner, name, call)
-            with pytest.raises(KeyboardInterrupt):
-                run_plan(make_plan(4, 3), folder, batch=2, progress=False)
-
-    for _ in range(3):
-        interrupted_at(4, plan_module, "per_metre")
-        stored.append(len(episodes_of(folder).read()))
-    assert stored == [3, 6, 9]  # nothing is lost, nothing done twice
-    for number in range(2, 6):
-        interrupted_at(number, os, "replace")
-    same(run_plan(make_plan(4, 3), folder, batch=2, progress=False), whole)
-
-
 def play_here(folder):
     run_plan(make_plan(4, 3), folder, batch=2, progress=False)
 
 
-@pytest.mark.slow
-def test_an_evaluation_that_is_killed_continues_to_the_same_table(tmp_path):
-    """By SIGKILL, whenever three more episodes are in the journal, then before each of the five files is in place."""
+def interrupted_at(point, number, work, folder):
+    """In the place of a kill: an interrupt at the n-th call of a function."""
+    module, name = point.rsplit(".", 1)
+    owner, calls = importlib.import_module(module), itertools.count(1)
+    function = getattr(owner, name)
+
+    def call(*arguments, **named):
+        if next(calls) == number:
+            raise KeyboardInterrupt
+        return function(*arguments, **named)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(owner, name, call)
+        with contextlib.suppress(KeyboardInterrupt):
+            work(folder)
+            return False
+    return True
+
+
+@pytest.mark.parametrize("stopped_at", [interrupted_at, pytest.param(killed_at, marks=pytest.mark.slow)])
+def test_an_evaluation_that_is_stopped_continues_to_the_same_table(stopped_at, tmp_path):
+    """Whenever three more episodes are in the journal, then as each of the five files is to be put in place."""
     whole = run_plan(make_plan(4, 3), tmp_path / "whole", batch=2, progress=False)
-    folder, stored = tmp_path / "killed", []
-    while killed_at("agents.evaluation.plan.per_metre", 4, play_here, folder):
+    folder, stored = tmp_path / "stopped", []
+    while len(stored) < (3 if stopped_at is interrupted_at else 7):
+        assert stopped_at("agents.evaluation.plan.per_metre", 4, play_here, folder)
         stored.append(len(episodes_of(folder).read()))
-    assert stored == list(range(3, 24, 3))
-    for number in range(1, 6):
-        assert killed_at("os.replace", number, play_here, folder)
+    assert stored == list(range(3, 3 * len(stored) + 1, 3))  # nothing is lost, nothing done twice
+    for number in range(1 if len(stored) > 3 else 2, 6):
+        assert stopped_at("os.replace", number, play_here, folder)
     same(run_plan(make_plan(4, 3), folder, batch=2, progress=False), whole)
 
 
@@ -156,8 +149,8 @@ def test_what_is_observed_and_fields_newer_than_the_results_make_no_other_settin
     setting = json.loads((stored / "setting.json").read_text())
     del setting["probes"], setting["task"]["observe_probe"]
     (stored / "setting.json").write_text(json.dumps(setting))
-    same(run_plan(make_plan(config=CONFIG.all_shown), stored, progress=False), table)
-    again = run_plan(make_plan(config=CONFIG.all_shown), None, progress=False)
+    same(run_plan(make_plan(config=CONFIG.full_observation), stored, progress=False), table)
+    again = run_plan(make_plan(config=CONFIG.full_observation), None, progress=False)
     same(again.drop(columns="commit"), table.drop(columns="commit"))
 
 
@@ -196,7 +189,7 @@ def test_evaluate_gives_the_table_with_and_without_a_folder(tmp_path):
 
 def test_bad_arguments_are_named_and_nothing_is_written(tmp_path):
     def run(specs, contexts, limit, seeds, against=None):
-        evaluate_plan(plan_of(specs, place_of(None, contexts, limit), seeds, "fast"), tmp_path / "out", against)
+        evaluate_plan(plan_of(specs, case_of(None, contexts, limit), seeds, "fast"), tmp_path / "out", against)
 
     for arguments, message in (
         ((["constant"], "validation", 99, 1), "limit = 99"),

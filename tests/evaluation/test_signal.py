@@ -7,12 +7,10 @@ import pandas as pd
 import pytest
 
 from agents.cli import main
-from agents.evaluation.recording import STRETCH, Chart, Insertion, centred_spectra
-from agents.evaluation.signal import by_period, correlation
+from agents.evaluation.signal import STRETCH, Insertion, by_period, centred_spectra, correlation
 from probe_env.inspection.channels import SHOWN, Flaw, Passage, along, calls, channels, filtered, support_places
-from probe_env.inspection.meter import FREQUENCY
 from probe_env.inspection.sensor import Sensor
-from probe_env.inspection.tally import DetectionTally
+from probe_env.inspection.snr import FREQUENCY
 
 NONE = np.zeros(0)
 
@@ -84,17 +82,14 @@ def test_noise_is_told_by_period_and_follows_the_vibration():
     passage = Passage(still.time, still.place, still.feed, motion, still.spectrum, 1000)
     periods = tuple({"radial_rms_m": value / np.sqrt(2.0), "snr": 7.5} for value in amplitude)
     voltages = channels(sensor, passage, 0.0242, [], NONE, np.random.default_rng(0))
-    run = Insertion(passage, periods, {}, DetectionTally())
-    chart = Chart(voltages, NONE, (), NONE, NONE, 4.6, pd.DataFrame(), 0)
-    table = by_period(run, chart)
+    table = by_period(Insertion(passage, periods, {}), voltages)
     assert table["place_m"].tolist() == pytest.approx((2.5 + 0.2 * np.arange(1, 21)).tolist())
     wanted = np.sinc(14.0 * SHOWN) * 2900.0 * amplitude / np.sqrt(2.0)
     loud = slice(9, None)  # there electronics, 1 % of a groove's signal a second, add less than 1 %
     assert table["x_deviation_v"][loud].tolist() == pytest.approx(wanted[loud] * np.cos(0.6), rel=0.02)
     assert table["y_deviation_v"][loud].tolist() == pytest.approx(wanted[loud] * np.sin(0.6), rel=0.02)
-    assert correlation(run, chart) == 1.0
-    even = Insertion(passage, tuple({"radial_rms_m": 1e-5, "snr": 7.5} for _ in periods), {}, DetectionTally())
-    assert np.isnan(correlation(even, chart))
+    assert correlation(table) == 1.0
+    assert np.isnan(correlation(table.assign(radial_rms_m=1e-5)))
 
 
 def test_one_call_a_flaw():
@@ -128,8 +123,8 @@ def test_the_command_writes_what_the_rig_would(tmp_path, capsys):
 
 def test_what_is_wrong_is_named_before_anything_is_done(tmp_path, capsys):
     for asked, message in (
-        (["--flaws", "30"], "flaws: '30' is not PLACE:DEPTH"),
-        (["--flaws", "70:20"], "flaws: place of '70:20' = 70.0 m is outside the accepted range 0 to 60 m"),
+        (["--flaws", "30"], "flaws: '30' is not POSITION:DEPTH"),
+        (["--flaws", "70:20"], "flaws: position of '70:20' = 70.0 m is outside the accepted range 0 to 60 m"),
         (["--flaws", "30:200"], "flaws: depth of '30:200' = 200.0 % is outside the accepted range 0.1 to 100 %"),
         (["--context", "48"], "context = 48 is outside the accepted range 0 to 47"),
         (["--until", "70"], "until = 70.0 m is outside the accepted range 5 to 60 m"),

@@ -4,10 +4,9 @@ import os
 import subprocess
 import sys
 import time
-from contextlib import contextmanager
+from contextlib import nullcontext
 from pathlib import Path
 
-import joblib
 import pytest
 from kills import alive
 
@@ -27,28 +26,14 @@ def square(task):
     return task * task
 
 
-def counting(task):
-    yield from range(task)
-
-
-def hesitant(task):
-    """Two items, the second only when the first has been seen to arrive."""
-    folder, number = task
-    yield number
-    while not (Path(folder) / f"{number} came").exists():
-        time.sleep(0.01)
-    yield -number
-
-
 def halting(task):
-    """Three items; the first worker dies after two."""
+    """The first worker with task 1 dies."""
     folder, number = task
-    yield from (10 * number, 10 * number + 1)
     mark = Path(folder) / "died"
     if number == 1 and not mark.exists():
         mark.touch()
         os._exit(1)
-    yield 10 * number + 2
+    return 10 * number
 
 
 def broken(task):
@@ -56,26 +41,32 @@ def broken(task):
 
 
 def sleeping(task):
-    yield os.getpid()
-    time.sleep(1e6)
+    """Task 0 waits until task 1 has told its process, which then sleeps."""
+    folder, number = task
+    told = Path(folder) / "process"
+    if number:
+        told.with_suffix(".part").write_text(str(os.getpid()))
+        told.with_suffix(".part").rename(told)
+        time.sleep(1e6)
+    while not told.exists():
+        time.sleep(0.01)
+    return int(told.read_text())
 
 
-def test_every_task_comes_back_once_and_items_come_while_their_task_goes_on(tmp_path):
-    """The second would wait for ever if items came with the task's end alone."""
-    assert sorted(TWO.map(square, range(20))) == [(k, k * k) for k in range(20)]
-    items = []
-    for (_, number), item in TWO.stream(hesitant, [(str(tmp_path), k) for k in range(1, 4)]):
-        items.append(item)
-        (tmp_path / f"{number} came").touch()
-    assert sorted(items) == [-3, -2, -1, 1, 2, 3]
+def test_every_task_comes_back_once_and_before_slower_ones():
+    """Where the work runs; Ray's part of joblib with threads in the place of a cluster."""
+    with pytest.MonkeyPatch.context() as patch:
+        assert sorted(TWO.map(square, range(20))) == [(k, k * k) for k in range(20)]
+        patch.setattr(Workers, "_backend", lambda _: nullcontext((lambda: 2, 2, {"backend": "threading"})))
+        assert sorted(Workers(2, "ray").map(square, range(9))) == [(k, k * k) for k in range(9)]
 
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:a worker was lost")
-def test_what_is_lost_with_a_worker_is_done_again_and_items_come_once(tmp_path):
-    items = [item for _, item in TWO.stream(halting, [(str(tmp_path), k) for k in range(3)])]
+def test_what_is_lost_with_a_worker_is_done_again_and_comes_once(tmp_path):
+    results = [result for _, result in TWO.map(halting, [(str(tmp_path), k) for k in range(3)])]
     assert (tmp_path / "died").exists()
-    assert sorted(items) == [0, 1, 2, 10, 11, 12, 20, 21, 22]
+    assert sorted(results) == [0, 10, 20]
 
 
 @pytest.mark.slow
@@ -91,16 +82,20 @@ def test_an_error_in_the_work_comes_with_its_trace_and_is_not_tried_again():
     assert "in broken" in str(caught.value.__cause__)
 
 
-def test_workers_that_nobody_waits_for_end():
-    stream = TWO.stream(sleeping, [0])
-    _, process = next(stream)
-    stream.close()
+def test_workers_that_nobody_waits_for_end(tmp_path):
+    """The first result comes while the other task still runs."""
+    results = TWO.map(sleeping, [(str(tmp_path), 0), (str(tmp_path), 1)])
+    _, process = next(results)
+    results.close()
     assert not alive(process)
 
 
 @pytest.mark.slow
-def test_workers_end_with_a_command_that_is_killed():
-    code = "from test_workers import *; print(next(TWO.stream(sleeping, [0]))[1], flush=True); os.kill(os.getpid(), 9)"
+def test_workers_end_with_a_command_that_is_killed(tmp_path):
+    tasks = [(str(tmp_path), 0), (str(tmp_path), 1)]
+    code = (
+        f"from test_workers import *\nprint(next(TWO.map(sleeping, {tasks}))[1], flush=True)\nos.kill(os.getpid(), 9)"
+    )
     paths = os.pathsep.join([str(Path(__file__).parent), str(ROOT / "tests"), *filter(None, sys.path)])
     ended = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, env=os.environ | {"PYTHONPATH": paths}
@@ -110,20 +105,6 @@ def test_workers_end_with_a_command_that_is_killed():
         time.sleep(0.1)
         patience -= 1
     assert patience
-
-
-def test_a_cluster_s_items_come_with_the_task_s_end(monkeypatch):
-    """Ray's part of joblib, with threads in the place of a cluster."""
-
-    @contextmanager
-    def cluster(_):
-        with joblib.parallel_config(backend="threading"):
-            yield lambda: 2
-
-    monkeypatch.setattr(Workers, "_cluster", cluster)
-    items = list(Workers(2, "ray").stream(counting, [1, 2, 3, 4, 5]))
-    assert sorted(items) == sorted((task, item) for task in (1, 2, 3, 4, 5) for item in range(task))
-    assert sorted(Workers(2, "ray").map(square, range(9))) == [(k, k * k) for k in range(9)]
 
 
 @pytest.mark.slow

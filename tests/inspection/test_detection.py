@@ -21,9 +21,9 @@ from probe_env.inspection.detection import (
     snr_at,
     threshold,
 )
-from probe_env.inspection.meter import COUNT, FREQUENCY, Meter
+from probe_env.inspection.metrics import POD_NAMES, DetectionMetrics
 from probe_env.inspection.sensor import Sensor
-from probe_env.inspection.tally import DetectionTally
+from probe_env.inspection.snr import COUNT, FREQUENCY, FilteredSignal, SnrEstimator
 
 SENSOR = Sensor()
 CHANCE = 1e-4
@@ -50,9 +50,6 @@ def test_one_place_in_closed_form():
         for level in (0.5, 0.9):
             wanted = 0.2 * ((z + norm.ppf(level)) / groove) ** (1.0 / exponent)
             assert depth_found(curve, level) == pytest.approx(wanted, rel=2e-3)
-
-
-def test_what_is_never_found_and_what_always_is():
     assert depth_found(np.full(len(DEPTHS), 0.85), 0.9) == 1.0
     assert depth_found(np.ones(len(DEPTHS)), 0.9) == DEPTHS[0]
 
@@ -82,10 +79,10 @@ def test_spiky_excursions_hide_flaws():
     assert predicted < float(pod_gaussian(np.array(snr), z)) + 0.06
 
 
-def detection_of(snr, lengths, excursions=SILENT):
-    detection = DetectionTally(SENSOR)
+def detection_of(snr, lengths):
+    detection = DetectionMetrics(SENSOR)
     for value, length in zip(snr, lengths, strict=True):
-        detection.add(length, value, 0.0, 0.5, excursions)
+        detection.add(length, FilteredSignal(*map(np.asarray, (value, 0.0, 0.5, SILENT))))
     return detection
 
 
@@ -99,15 +96,15 @@ def test_an_episode_is_averaged_over_its_length():
     assert kpis["noise_peak_to_peak_v"] == 0.5
     assert kpis["a90_percent_wall"] == pytest.approx(100.0, abs=0.2)  # of what was inspected all: a hole
     assert kpis["a50_percent_wall"] == pytest.approx(100.0 * depth_found(curve, 0.5), rel=1e-12)
-    assert DetectionTally(SENSOR).kpis(60.0, 60.0)["a90_percent_wall"] == 100.0  # nothing was inspected
+    assert DetectionMetrics(SENSOR).kpis(60.0, 60.0)["a90_percent_wall"] == 100.0  # nothing was inspected
 
 
 def test_spikes_are_told_from_noise():
     rng = np.random.default_rng(0)
     for draw, gaussian in ((rng.normal, True), (lambda size: rng.standard_t(3, size), False)):
-        detection = DetectionTally(SENSOR)
+        detection = DetectionMetrics(SENSOR)
         for _ in range(300):
-            detection.add(0.2, 5.0, 0.5, 0.1, draw(size=COUNT))
+            detection.add(0.2, FilteredSignal(*map(np.asarray, (5.0, 0.5, 0.1, draw(size=COUNT)))))
         assert detection.gaussian is gaussian
 
 
@@ -128,16 +125,17 @@ def test_the_formula_says_what_10000_flaws_say(seeds):
         perturbation=1e-6,
     )
     batch.advance(None, None, 3.0)
-    meter, detection, traces, spectra = Meter(SENSOR, members, 1e-3), DetectionTally(SENSOR), [], []
+    meter, detection, traces, spectra = SnrEstimator(SENSOR, members, 1e-3), DetectionMetrics(SENSOR), [], []
     for second in range(seconds):
         trace = batch.advance(None, None, 1.0, keep_samples=True).radial
-        meter.listen(np.arange(members), trace, np.full(members, feed))
+        meter.update(np.arange(members), trace, np.full(members, feed))
         if second:  # the first fills the meter
             traces.append(trace.T)
-            spectra.append([meter.of_filter(k) for k in range(members)])
+            spectra.append([meter.filter_spectrum(k) for k in range(members)])
             for k in range(members):
-                detection.add(1.0, *meter.of(k))
-    curve, z = detection.curve(float(sum(detection.lengths)), 60.0), detection.threshold(60.0)
+                detection.add(1.0, meter.last(k))
+    kpis, z = detection.kpis(float(sum(detection.lengths)), 60.0), detection.threshold(60.0)
+    curve = np.array([kpis[name] for name in POD_NAMES])
     motion, spectrum = np.concatenate(traces), np.concatenate(spectra)
     rng = np.random.default_rng(seeds(1)[0])
     place, depth = rng.integers(len(motion), size=flaws), np.exp(rng.uniform(math.log(0.05), 0.0, flaws))

@@ -1,13 +1,12 @@
 """A strict interpreter of the structured text that the project writes: what it does not know is an error.
 
 It knows function blocks of REAL, INT and BOOL with assignments, IF ... ELSE, FOR, and the standard functions that the
-law uses, every operation rounded to single precision as a PLC's REAL is.
+law uses. They are translated to Python, with every operation rounded to single precision as a PLC's REAL is.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -15,159 +14,111 @@ import numpy as np
 TOKEN = re.compile(r"\s*(?:(\d+\.\d+|\d+)|([A-Za-z_]\w*)|(:=|<=|>=|<>|[-+*/();,<>=:]))")
 SECTIONS = ("VAR_INPUT", "VAR_OUTPUT", "VAR")
 TYPES = {"REAL": np.float32(0.0), "INT": 0, "BOOL": False}
-ONE = np.float32(1.0)
-FUNCTIONS: dict[str, Callable[..., Any]] = {
+FUNCTIONS = {
     "EXP": np.exp, "LN": np.log, "MAX": max, "MIN": min, "LIMIT": lambda low, x, high: min(max(x, low), high),
 }  # fmt: skip
-OPERATORS: dict[str, Callable[[Any, Any], Any]] = {
-    "+": lambda a, b: a + b, "-": lambda a, b: a - b, "*": lambda a, b: a * b, "/": lambda a, b: a / b,
-    "<": lambda a, b: a < b, ">": lambda a, b: a > b,
-}  # fmt: skip
+OPERATORS = frozenset("+-*/<>(),")
 
 
 class FunctionBlock:
     """A function block: call it with its inputs by name; outputs and state are in ``values``."""
 
     def __init__(self, text: str) -> None:
-        self.tokens = _tokens(text)
-        self.place, self.values, self.inputs, self.fixed = 0, {}, set(), set()
+        self.tokens = _tokens(text)[::-1]  # the next one is the last
+        self.values: dict[str, Any] = {}
+        self.inputs: set[str] = set()
+        self.fixed: set[str] = set()
         self.take("FUNCTION_BLOCK")
         self.name = self.take()
-        while self.now in SECTIONS:
+        while self.tokens[-1] in SECTIONS:
             self._declare()
-        self.start = self.place
-        self._run(False)  # parses all of it
-        self.take("END_FUNCTION_BLOCK")
-        if self.place != len(self.tokens):
-            raise SyntaxError(f"after END_FUNCTION_BLOCK: {self.now}")
-
-    @property
-    def now(self) -> str:
-        return self.tokens[self.place] if self.place < len(self.tokens) else ""
+        self.code = compile("\n".join(self._statements()), self.name, "exec")
+        if self.tokens:
+            raise SyntaxError(f"after END_FUNCTION_BLOCK: {self.tokens[-1]}")
 
     def take(self, wanted: str = "") -> str:
-        token = self.now
+        token = self.tokens.pop() if self.tokens else ""
         if not token or (wanted and token != wanted):
             raise SyntaxError(f"{token!r} where {wanted or 'something'!r} must stand")
-        self.place += 1
         return token
 
     def __call__(self, **inputs: Any) -> dict[str, Any]:
         if set(inputs) != self.inputs:
             raise TypeError(f"inputs are {sorted(self.inputs)}, not {sorted(inputs)}")
         self.values |= {name: v if isinstance(v, bool) else np.float32(v) for name, v in inputs.items()}
-        self.place = self.start
-        self._run(True)
+        with np.errstate(all="ignore"):
+            exec(self.code, {"values": self.values, "real": np.float32} | FUNCTIONS)
         return self.values
 
     def _declare(self) -> None:
         section = self.take()
-        constant = self.now == "CONSTANT" and bool(self.take())
-        while self.now != "END_VAR":
+        constant = self.tokens[-1] == "CONSTANT" and bool(self.take())
+        while self.tokens[-1] != "END_VAR":
             name = self.take()
             self.take(":")
             kind = self.take()
             if name in self.values or kind not in TYPES:
                 raise SyntaxError(f"{name} : {kind}")
-            value = TYPES[kind]
-            if self.now == ":=":
+            self.values[name] = TYPES[kind]
+            if self.tokens[-1] == ":=":
                 self.take()
-                value = np.float32(self.take())
+                self.values[name] = np.float32(self.take())
             elif constant:
                 raise SyntaxError(f"{name} is constant and has no value")
-            self.values[name] = value
             self.take(";")
             (self.inputs if section == "VAR_INPUT" else self.fixed if constant else set()).add(name)
         self.take("END_VAR")
 
-    def _run(self, act: bool) -> None:
-        """Statements up to what ends them; parsed only, unless ``act``."""
-        while self.now not in ("END_IF", "ELSE", "END_FOR", "END_FUNCTION_BLOCK"):
-            if self.now == "IF":
-                self._branch(act)
-            elif self.now == "FOR":
-                self._loop(act)
+    def _statements(self) -> list[str]:
+        """Lines of Python up to the end of the block."""
+        lines: list[str] = []
+        opened: list[str] = []
+
+        def add(line: str) -> None:
+            lines.append("    " * len(opened) + line)
+
+        while (token := self.take()) != "END_FUNCTION_BLOCK" or opened:
+            if token == "IF":
+                add(f"if {self._expression('THEN')}:")
+                opened.append("END_IF")
+                add("pass")
+            elif token == "FOR":
+                name = self._target(self.take())
+                low, high = self._expression("TO"), self._expression("DO")
+                add(f"for {name} in range(int({low}), int({high}) + 1):")
+                opened.append("END_FOR")
+                add("pass")
+            elif token == "ELSE" and opened[-1:] == ["END_IF"]:
+                opened.pop()
+                add("else:")
+                opened.append("END_IF")
+                add("pass")
+            elif opened and token == opened[-1]:
+                opened.pop()
+                self.take(";")
             else:
-                self._assign(act)
+                add(f"{self._target(token)} = {self._expression(';')}")
+        return lines
 
-    def _branch(self, act: bool) -> None:
-        self.take("IF")
-        holds = self._compared()
-        self.take("THEN")
-        self._run(act and bool(holds))
-        if self.now == "ELSE":
-            self.take()
-            self._run(act and not holds)
-        self.take("END_IF")
-        self.take(";")
-
-    def _loop(self, act: bool) -> None:
-        self.take("FOR")
-        counter = self.take()
-        self.take(":=")
-        low = int(self.take())
-        self.take("TO")
-        high = int(self.take())
-        self.take("DO")
-        begin = self.place
-        for value in range(low, high + 1 if act else low + 1):
-            self.place = begin
-            self.values[counter] = value
-            self._run(act)
-        self.take("END_FOR")
-        self.take(";")
-
-    def _assign(self, act: bool) -> None:
-        name = self.take()
+    def _target(self, name: str) -> str:
         if name not in self.values or name in self.fixed | self.inputs:
             raise SyntaxError(f"{name} cannot be assigned to")
         self.take(":=")
-        value = self._compared()
-        self.take(";")
-        if act:
-            self.values[name] = value
+        return f"values[{name!r}]"
 
-    def _compared(self) -> Any:
-        left = self._sum()
-        return OPERATORS[self.take()](left, self._sum()) if self.now in ("<", ">") else left
-
-    def _sum(self) -> Any:
-        value = self._product()
-        while self.now in ("+", "-"):
-            value = self._rounded(OPERATORS[self.take()], value, self._product())
-        return value
-
-    def _product(self) -> Any:
-        value = self._single()
-        while self.now in ("*", "/"):
-            value = self._rounded(OPERATORS[self.take()], value, self._single())
-        return value
-
-    def _single(self) -> Any:
-        token = self.take()
-        if token == "-":
-            return -self._single()
-        if token == "(":
-            value = self._compared()
-            self.take(")")
-            return value
-        if token[0].isdigit():
-            return np.float32(token)
-        if token in FUNCTIONS:
-            self.take("(")
-            arguments = [self._compared()]
-            while self.now == ",":
-                self.take()
-                arguments.append(self._compared())
-            self.take(")")
-            return self._rounded(FUNCTIONS[token], *arguments)
-        if token not in self.values:
-            raise SyntaxError(f"{token!r} is not known")
-        return self.values[token]
-
-    def _rounded(self, operation: Callable[..., Any], *arguments: Any) -> np.float32:
-        with np.errstate(all="ignore"):  # parsing goes through branches that are not taken, with zeros
-            return np.float32(operation(*arguments))
+    def _expression(self, end: str) -> str:
+        """Python of what stands before a token, which is taken as well."""
+        parts = []
+        while (token := self.take()) != end:
+            if token[0].isdigit():
+                parts.append(f"real({token!r})")
+            elif token in OPERATORS or token in FUNCTIONS:
+                parts.append(token)
+            elif token in self.values:
+                parts.append(f"real(values[{token!r}])")
+            else:
+                raise SyntaxError(f"{token!r} is not known")
+        return " ".join(parts)
 
 
 def _tokens(text: str) -> list[str]:

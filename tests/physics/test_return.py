@@ -260,8 +260,3 @@ def test_methods_that_do_not_go_back(method, given):
 def test_the_study_s_couple_is_told_unfit():
     with pytest.warns(StabilityWarning, match='feed_speed = -0.1 m/s with couple = "frame"'):
         Simulator(Scene(carrier_length=5.0, feed_speed=-0.1))
-
-
-def test_a_start_that_is_not_known():
-    with pytest.raises(ValueError, match="start = 'left' is not one of inner, outer"):
-        Simulator(Scene(), start="left")

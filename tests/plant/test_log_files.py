@@ -144,7 +144,7 @@ BAD = lines()
 NUMBER = "line 4, column 'length [m]': {!r} is not a finite number"
 CHANGED = [
     ("feed", "\x1b[31mfeed", "line 1: not a text file: a control character (0x1b)"),
-    ("5.40", "5.4\0", "line 4: not a text file"),
+    ("5.40", "5.4\0", "line 4: not a text file: a control character (0x00)"),
     ("1;5.20;0.20;63.0", "1;5.20", "line 3: 2 values for 4 columns"),
     ("1;5.20;0.20;63.0", "1;5.20;0.20;63.0;7;8", "line 3: 6 values for 4 columns"),
     *(("5.40", cell, NUMBER.format(cell)) for cell in ("fast", "inf", "1e999", "=1+1", "5,40,1.5")),
@@ -163,8 +163,8 @@ CHANGED = [
     ("length [m];feed", "p [m];q", "no column is known as feed_speed or inserted_length"),
     ("3;5.60", "3;5.10", "line 5, column 'length [m]': the probe moves back to 5.1 m from 5.4 m"),
     ("3;5.60", "3;9.60", "lines 4 to 5: the inserted length leaps from 5.4 to 9.6 m, at 4.2 m/s"),
-    ("63.0", "6300.0", "line 2, column 'air [m3/h]': air_supply = 6300 m3/h is outside"),
-    ("5.20", '"5.20', "line 3"),
+    ("63.0", "6300.0", "line 2, column 'air [m3/h]': air_supply = 6300 m3/h is outside the accepted range 0 to "),
+    ("5.20", '"5.20', "line 3: not CSV: unexpected end of data"),
 ]
 """What is changed in a good log -> message."""
 HOLE = HEAD + "\n" + "\n".join(f"{t};{'' if 2 < t < 12 else 5.5};0.0;63.0" for t in range(20))
@@ -180,28 +180,41 @@ BROKEN = [
     ("\n" * 2500 + BAD, "line 1: no head that names two quantities; found: none"),
     (HEAD, "line 1: a head, but no rows"),
     ("time;feed;air\ns;m/s;m3/h\n", "line 1: a head, but no rows"),
-    ("\n".join(BAD.split("\n")[:2]), "1 rows have a time: at least two"),
+    ("\n".join(BAD.split("\n")[:2]), "line 2, column 'time [s]': 1 rows have a time: at least two"),
     (lines(head=OTHER), "line 1: no head that names two quantities; found: 'Kanal 1', 'Kanal 2'"),
     ("Dear all,\nthis is not a log.\n", "no head that names two quantities"),
     (bytes(range(256)) * 8, "line 2: not a text file (byte 0x81)"),
-    (b"\xff\xfe" + BAD.encode("utf-16-le")[:-1], "not a text file"),
+    (b"\xff\xfe" + BAD.encode("utf-16-le")[:-1], "line 5: not a text file (byte 0x"),
     (BAD[:-9], "line 5: 3 values for 4 columns, separated by ';' - the file ends within it"),
-    (lines(",", row="{t};5,0;0,2;63,0"), "export it with semicolons"),
+    (lines(",", row="{t};5,0;0,2;63,0"), "line 2: 7 values for 4 columns, separated by ',' - decimal commas and"),
     (lines(row="{t};nan;{v};{a}"), "line 2, column 'length [m]': no value in the whole column"),
-    (lines(head=GERMAN, row="{t};{x}0;200;63"), "line 2, column 'Weg [mm]': '5.000' may have a decimal sign or thous"),
-    (lines(",", ",", GERMAN, '{t};"{x}0";200;63'), "'5,000' may have a decimal sign or thousands"),
-    (lines(row="7;{x};{v};{a}"), "the time never changes"),
+    (
+        lines(head=GERMAN, row="{t};{x}0;200;63"),
+        "line 2, column 'Weg [mm]': '5.000' may have a decimal sign or thousands",
+    ),
+    (
+        lines(",", ",", GERMAN, '{t};"{x}0";200;63'),
+        "line 2, column 'Weg [mm]': '5,000' may have a decimal sign or thousands",
+    ),
+    (lines(row="7;{x};{v};{a}"), "line 5, column 'time [s]': the time never changes"),
     (lines(row=CLOCK, c="2024-02-31T%H:%M:%S"), "line 2, column 'time [s]': '2024-02-31T23"),
     (lines(row=CLOCK, c=lambda t, _: f"25:00:0{t}"), "line 2, column 'time [s]': '25:00:00' is not a"),
-    (lines(row=CLOCK, c=lambda t, _: f"12:00:0{t}" if t != 2 else "2"), "line 4, column 'time [s]'"),
+    (lines(row=CLOCK, c=lambda t, _: f"12:00:0{t}" if t != 2 else "2"), "line 4, column 'time [s]': '2' is not a time"),
     (
         lines(row=CLOCK, c=lambda t, _: f"2024-05-31T12:00:0{t}{'Z' * (t == 2)}"),
-        "line 4, column 'time [s]': times ",
+        "line 4, column 'time [s]': '2024-05-31T12:00:02Z' mixes times with a zone and times without",
     ),
-    (with_days("0{}.06.2024", lambda t, _: f"{9 - t // 2}:00:0{t}"), "lines 3 to 4: no rows for 82801 s"),
-    (with_days("6/{}/24", "%H:%M:%S"), "column 'Datum': '6/1/24' is not a date like 2024-05-31 or 31.05.2024"),
+    (
+        with_days("0{}.06.2024", lambda t, _: f"{9 - t // 2}:00:0{t}"),
+        "lines 3 to 4: no rows for 82801 s, more than the 5 s",
+    ),
+    (with_days("0{}.06.2024", lambda t, _: f"12:00:0{t}"), "lines 3 to 4: no rows for 86401 s, more than the 5 s"),
+    (with_days("6/{}/24", "%H:%M:%S"), "line 2, column 'Datum': '6/1/24' is not a date like 2024-05-31 or 31.05.2024"),
     (HOLE, "lines 4 to 14: column 'length [m]' has no values for 10 s, more than the 5 s"),
-    (lines(row="{t};{mm};{v};{a}"), "line 2, column 'length [m]': inserted_length = 5000 m is outside"),
+    (
+        lines(row="{t};{mm};{v};{a}"),
+        "line 2, column 'length [m]': inserted_length = 5000 m is outside the accepted range 0 to 1000 m",
+    ),
     (HEAD + ";x" * 300 + "\n1;2;3;4", "line 1: 304 columns are more than 256"),
     (b"\xd0\xcf\x11\xe0" + bytes(2000), "a workbook of Excel before 2007: save it as .xlsx"),
     (b"PK\x03\x04" + bytes(2000), "not an Excel workbook that can be read"),
@@ -236,15 +249,26 @@ ENTITIES = b'<!DOCTYPE w [<!ENTITY a "' + b"ha" * 1000 + b'">' + b"".join(
 )  # fmt: skip
 UNREADABLE = "not an Excel workbook that can be read"
 SHEETS = [
-    (archive({"a": b"0" * 1000}).replace(struct.pack("<I", 1000), struct.pack("<I", 2**31)), "2147483648 bytes"),
-    (GOOD_SHEET[:-200], "not an Excel workbook"),
+    (
+        archive({"a": b"0" * 1000}).replace(struct.pack("<I", 1000), struct.pack("<I", 2**31)),
+        "1 parts of 2147483648 bytes",
+    ),
+    (GOOD_SHEET[:-200], f"{UNREADABLE} (BadZipFile)"),
     (archive({"a.txt": b"1"}), f"{UNREADABLE} (KeyError)"),
     (with_part(b"<row", b"<<row"), UNREADABLE),
     (with_part(b"<worksheet", ENTITIES + b"]><worksheet>&g;</worksheet><worksheet"), UNREADABLE),
     (sheet(*SHEET_ROWS[:2], [1, True, 63]), "row 3, column 'feed [m/s]': 'True' is not a finite number"),
-    (sheet(SHEET_ROWS[0], [0, "=1+1", 63], [1, "=1+1", 63]), "no value in the whole column"),  # formulas not computed
+    (  # formulas that were not computed
+        sheet(SHEET_ROWS[0], [0, "=1+1", 63], [1, "=1+1", 63]),
+        "row 2, column 'feed [m/s]': no value in the whole column",
+    ),
+    (sheet(SHEET_ROWS[0], [0, 0.2, 63, 7]), "row 2: 4 values for 3 columns - correct that row"),
+    (sheet([None]), "empty: a head and rows of numbers are needed; --sheet names another"),
     (with_part(b"</sheetData>", b"<row/>" * 10**5 + b"</sheetData>"), "row 10004: more rows than a sheet has"),
-    (with_part(b"</sheetData>", b'<row r="1048577"><c><v>1</v></c></row></sheetData>'), "more rows than a sheet has"),
+    (
+        with_part(b"</sheetData>", b'<row r="1048577"><c><v>1</v></c></row></sheetData>'),
+        "row 10004: more rows than a sheet has",
+    ),
     (sheet(SHEET_ROWS[0], [0] * 300), "row 2: more than 256 columns"),
 ]
 
@@ -274,7 +298,7 @@ def test_sizes_and_pipes(tmp_path, monkeypatch):
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(FileError, match="a pipe or a device"):
         read_log(tmp_path / "pipe")
-    monkeypatch.setattr("agents.plant.tables.MOST_BYTES", 100)
+    monkeypatch.setattr("agents.plant.reader.MOST_BYTES", 100)
     with pytest.raises(FileError, match="bytes are more than the 100"):
         read_log(path)
 
@@ -293,6 +317,11 @@ def test_columns_and_bounds_that_make_no_sense(tmp_path):
         with pytest.raises(ValueError) as caught:  # noqa: PT011 (the message is compared below)
             read_log(path, columns)
         assert message in str(caught.value)
-    for name, value in {"gap": 0.0, "every": 6.0, "tolerance": float("nan"), "backward": -1.0}.items():
-        with pytest.raises(ValueError, match=name):
+    for name, value, problem in (
+        ("gap", 0.0, "gap = 0.0 s is outside the accepted range 0.001 to 3600 s"),
+        ("every", 6.0, "every = 6 s is more than gap = 5 s"),
+        ("tolerance", float("nan"), "tolerance = nan m is outside the accepted range 1e-05 to 0.1 m"),
+        ("backward", -1.0, "backward = -1.0 m is outside the accepted range 0 to 1 m"),
+    ):
+        with pytest.raises(ValueError, match=problem):
             Bounds(**{name: value})

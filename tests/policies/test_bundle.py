@@ -7,16 +7,17 @@ import zipfile
 import numpy as np
 import pytest
 import torch
+from poisons import Poison
 from safetensors.numpy import save
 from stable_baselines3 import PPO
 
 from agents.policies.bundle import Agent, Description, Network, build_policy, load_bundle, write_bundle
 from agents.policies.catalogue import make_policy
+from agents.policies.trained import read_weights
 from agents.policies.view import View
-from agents.records.arrays import read_weights
 from agents.vec_env import ProbeVecEnv
 from probe_env.envs.task import TaskConfig
-from probe_env.envs.task.observations import OBSERVATIONS
+from probe_env.envs.task.scales import OBSERVATIONS
 
 TASK = TaskConfig()
 
@@ -56,7 +57,7 @@ def test_an_agent_survives_its_file(algorithm, noise_interval, tmp_path):
     assert loaded.describe()["bundle"]
 
 
-def test_an_agent_remembers_by_its_state_and_a_new_episode_forgets(tmp_path):
+def test_an_agent_remembers_by_its_state_forgets_in_a_new_episode_and_picks_what_it_looks_at(tmp_path):
     agent = saved(tmp_path / "agent.safetensors")
     _, state = agent.predict(observations(seed=1), deterministic=True)
     remembering, _ = agent.predict(observations(seed=2), state, np.array([False, True, False]), deterministic=True)
@@ -65,9 +66,6 @@ def test_an_agent_remembers_by_its_state_and_a_new_episode_forgets(tmp_path):
     assert (remembering[0] != fresh[0]).any()
     alone, _ = agent.predict(observations(seed=2)[0], deterministic=True)
     assert alone == pytest.approx(fresh[0], abs=1e-6)
-
-
-def test_an_agent_picks_what_it_looks_at_from_a_task_that_shows_more(tmp_path):
     blind = TaskConfig(observe_root_tension=False)
     agent = saved(tmp_path / "agent.safetensors", task=blind)
     wide = TaskConfig(privileged=True)
@@ -90,16 +88,6 @@ def test_another_task_is_refused(tmp_path):
         View(observations=("moon",)).columns(TASK)
     with pytest.raises(FileNotFoundError):
         load_bundle(tmp_path / "nowhere.safetensors")
-
-
-class Poison:
-    """Unpickled, it would write a file."""
-
-    def __init__(self, path):
-        self.path = path
-
-    def __reduce__(self):
-        return (open, (str(self.path), "w"))
 
 
 def test_pickles_are_refused_and_not_executed(tmp_path):

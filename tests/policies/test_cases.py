@@ -9,9 +9,9 @@ import pytest
 from agents.cli import main
 from agents.evaluation.plan import run_plan
 from agents.evaluation.run import plan_of
+from agents.policies.cases import both_ways, case_of, load_case, map_of, with_probe
 from agents.policies.catalogue import make_policy
-from agents.policies.lookup import LEAST_AIR, best_schedule_for, knots, least_air
-from agents.policies.places import both_ways, load_case, map_of, place_at, place_of, with_probe
+from agents.policies.on_map import LEAST_AIR, best_schedule_for, knots, least_air
 from agents.policies.policy import Domain, OutsideDomain, ranges_of
 from probe_env import Context, Plant, Scene
 from probe_env.envs.plants import map_beside
@@ -61,7 +61,7 @@ def test_schedules_reach_the_end_of_the_helix_within_the_plants_ranges():
 @pytest.mark.parametrize("passes", ["in", "both"])
 def test_what_policies_were_made_for_is_said_or_refused(passes):
     rough = Plant(contact={"friction": {"low": 0.2, "high": 0.4}}, tube={"inner_diameter": 22.1e-3})
-    place = place_of(rough, "test", 4)
+    place = case_of(rough, "test", 4)
     if passes == "both":
         place = both_ways(place, "best")
     with pytest.warns(OutsideDomain) as caught:
@@ -77,19 +77,16 @@ def test_what_policies_were_made_for_is_said_or_refused(passes):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         plan_of(
-            ["best-schedule", "tension-scheduled", "adaptive", "ppo"], place_of(None, "test"), 1, "fast", strict=True
+            ["best-schedule", "tension-scheduled", "adaptive", "ppo"], case_of(None, "test"), 1, "fast", strict=True
         )
 
 
-def test_an_agent_and_adaptive_know_other_probes_only_if_they_were_made_for_them():
-    config = OTHER.configured().all_shown
+def test_domains_know_other_probes_if_a_policy_was_made_for_them_and_reach_as_far_as_the_map():
+    config = OTHER.configured().full_observation
     for spec, sees in (("ppo", False), ("ppo-any-probe", True), ("adaptive", True), ("tension-scheduled", False)):
         deviations = make_policy(spec, config).domain.outside(config, [Context()])
         assert any("probe: another" in line for line in deviations) == (not sees)
         assert any("helix_length = 80 m, beyond 60 m" in line for line in deviations)
-
-
-def test_ranges_of_lists_and_of_ranges_are_those_of_the_shipped_map():
     whole = Domain.of_map(stored_map()).ranges
     assert ranges_of("random") == whole
     for name, (low, high) in ranges_of("train").items():
@@ -98,8 +95,8 @@ def test_ranges_of_lists_and_of_ranges_are_those_of_the_shipped_map():
 
 def test_an_agent_acts_the_same_in_wider_ranges():
     """What it asks for is in SI units the same, and so is what it sees of its last action."""
-    usual = TaskConfig().all_shown
-    wide = TaskConfig(feed_speeds=(0.01, 0.5), air_supply_rates=(0.005, 0.04)).all_shown
+    usual = TaskConfig().full_observation
+    wide = TaskConfig(feed_speeds=(0.01, 0.5), air_supply_rates=(0.005, 0.04)).full_observation
     names, rng = list(usual.observations), np.random.default_rng(3)
     rows = rng.uniform(0.2, 0.8, (16, len(names))).astype(np.float32)
     columns = [names.index("previous_feed_action"), names.index("previous_air_action")]
@@ -114,7 +111,7 @@ def test_an_agent_acts_the_same_in_wider_ranges():
     # float32 observations differ by rounding, 1e-7 of an action of order one through weights of order ten
     assert wide.targets(acted_wide) == pytest.approx(usual.targets(acted), rel=1e-3)
     with pytest.raises(ValueError, match=r"period = 2\.0 differs from 1\.0"):
-        make_policy("ppo", TaskConfig(period=2.0).all_shown)
+        make_policy("ppo", TaskConfig(period=2.0).full_observation)
 
 
 @pytest.fixture(scope="module")
@@ -129,20 +126,13 @@ def small(tmp_path_factory):
     return file
 
 
-def test_a_map_of_ones_own_tubes_is_found_beside_their_file(small):
-    place = place_at(small, "test", 6)
-    known, plant = place.vibration, Plant.from_toml(small)
+def test_a_map_is_found_beside_the_file_of_its_tubes_and_one_of_another_tube_is_refused(small, tmp_path):
+    place = load_case(small, "test", 6)
     assert map_beside(small).name == "small-map.npz"
-    assert known.scene == plant.scene
-    assert known.digest != stored_map().digest
-    policy = make_policy("tension-scheduled", place.config.all_shown, known)
+    assert place.vibration.scene == Plant.from_toml(small).scene
+    assert place.vibration == VibrationMap.load(map_beside(small)) != stored_map()
+    policy = make_policy("tension-scheduled", place.config.full_observation, place.vibration)
     assert policy.domain.outside(place.config, place.contexts) == []
-    loaded = VibrationMap.load(map_beside(small))
-    assert loaded == known
-    assert hash(loaded) == hash(known)
-
-
-def test_a_map_of_another_tube_is_refused_by_name(small, tmp_path):
     file, text = tmp_path / "small.toml", small.read_text()
     map_beside(file).write_bytes(map_beside(small).read_bytes())
     for changed, message in (
@@ -161,7 +151,7 @@ def test_a_map_of_another_tube_is_refused_by_name(small, tmp_path):
 def test_results_of_different_plants_never_mix(small, tmp_path):
     plant = Plant.from_toml(small)
     other = plant.model_copy(update={"tube": {"inner_diameter": 23.5e-3}})
-    first, second = (plan_of(["constant"], place_of(each, "test", 1), 1, "fast") for each in (plant, other))
+    first, second = (plan_of(["constant"], case_of(each, "test", 1), 1, "fast") for each in (plant, other))
     run_plan(first, tmp_path, progress=False)
     with pytest.raises(ValueError, match="another setting"):
         run_plan(second, tmp_path, progress=False)
@@ -178,25 +168,22 @@ def test_passes_and_what_is_scored():
         load_case(None, "test", 1, "in", "back")
 
 
-def test_commands_take_the_file(small, tmp_path, capsys):
-    arguments = ["--tube", str(small), "--limit", "1", "--fidelity", "fast", "--output", str(tmp_path / "e")]
-    assert main(["evaluate", "slow-down", "constant", *arguments]) == 0
-    assert "1 of 1 complete" in capsys.readouterr().out
+def test_a_file_that_is_not_valid_or_not_there_is_named(tmp_path, capsys):
     broken = tmp_path / "broken.toml"
     broken.write_text("[contact]\nfriction = 2.0\n")
     assert main(["evaluate", "constant", "--tube", str(broken)]) != 0
     error = capsys.readouterr().err.strip().splitlines()[-1]
     assert "broken.toml: contact.friction: value = 2.0 is outside the accepted range 0 to 1" in error
-    assert place_at(Path("example"), "test", 3).config.scene.tube.helix_length == 45.0
+    assert load_case(Path("example"), "test", 3).config.scene.tube.helix_length == 45.0
     with pytest.raises(FileNotFoundError) as missing:
-        place_at(Path("nowhere.toml"), "test")
+        load_case(Path("nowhere.toml"), "test")
     assert "tubes that ship, by name: example" in missing.value.hint
 
 
 def test_a_probe_with_a_longer_guide_goes_into_a_helix_that_is_full():
     """The improved probe has 10 m of guide cable, the plant's own 2.5 m; table 2's helix has room for it."""
     plant = Plant.model_validate({"tube": {"helix_length": 28.0}})
-    config = place_of(plant, "test", 1).config
+    config = case_of(plant, "test", 1).config
     own, improved = config.scene, with_probe(config, "improved").scene
     assert own.inserted_length == pytest.approx(28.0)
     assert improved.probe.guide_length == pytest.approx(10.0)

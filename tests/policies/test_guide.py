@@ -10,10 +10,10 @@ from agents.policies.bundle import Agent, Description, Network, build_policy, lo
 from agents.policies.plc_law import Constants, PlcLaw, read_constants
 from agents.policies.view import View
 from agents.training.config import Training
+from probe_env.envs.env import InsertionVectorEnv
 from probe_env.envs.task import TaskConfig
-from probe_env.envs.vector import InsertionVectorEnv
 
-TASK = TaskConfig().all_shown
+TASK = TaskConfig().full_observation
 OWN = Constants(onset_length=12.0, slow_feed=0.11)
 
 
@@ -70,13 +70,13 @@ def test_a_bundle_keeps_the_law_that_it_was_trained_on(tmp_path: Path) -> None:
 
 
 def test_a_guide_is_named_and_needs_its_feeds_and_its_observations() -> None:
-    training = Training.model_validate({"guide": "plc-law"})
+    training = Training.model_validate({"guide": "plc-proportional"})
     assert training.view.guide == read_constants()
     assert training.view.size == View(friction_estimate=False).size + 2
     with pytest.raises(ValueError, match="guide"):
         Training.model_validate({"guide": "moon"})
     guided = agent(View(guide=OWN), Network(net_arch=(8,)))
     with pytest.raises(ValueError, match=r"feed_speeds = .* differs from .* guide acts"):
-        Agent(guided.description, guided.policy, TaskConfig(feed_speeds=(0.02, 0.3)).all_shown)
+        Agent(guided.description, guided.policy, TaskConfig(feed_speeds=(0.02, 0.3)).full_observation)
     with pytest.raises(ValueError, match="guide needs the observations root_tension, helix_diameter"):
         View(guide=OWN, observations=("inserted_length", "feed_speed", "air_supply_rate", "rf_noise"))

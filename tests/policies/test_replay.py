@@ -42,7 +42,7 @@ def fed_by_device(policy, config, seconds, start=5.0, speed=0.2):
         row[names.index("inserted_length")] = lengths[max(len(lengths) - 1 - late, 0)] / 60.0
         rows.append(row)
         action, state = policy.predict(row, state)
-        target = config.targets(action[None], may_stand=True)[0, 0]
+        target = config.targets(action[None], allow_standstill=True)[0, 0]
         ramping = min(abs(target - speed) / config.ramp, config.period)
         reached = speed + np.sign(target - speed) * config.ramp * ramping
         lengths.append(lengths[-1] + 0.5 * (speed + reached) * ramping + reached * (config.period - ramping))
@@ -74,8 +74,13 @@ def test_the_length_of_a_log_is_followed_for_any_speeds_in_range(tmp_path, field
         assert targets.max() <= fast * (1.0 + 1e-6)
 
 
-def test_slow_feeds_come_out_as_stops_and_starts(tmp_path):
+def test_slow_feeds_come_out_as_stops_and_starts_and_behind_its_end_a_log_feeds_on(tmp_path):
+    """Rigs stop at last; an episode that stood still with them would never end."""
     config = TaskConfig()
+    policy = replay_of(tmp_path, log_of([0.3, 0.0], [20.0, 10.0]), config)
+    _, targets = fed_by_device(policy, config, 60.0)
+    assert (targets[21:30] == 0.0).all()
+    assert targets[30:] == pytest.approx(0.02)
     policy = replay_of(tmp_path, log_of([0.005], 400.0), config)
     lengths, targets = fed_by_device(policy, config, 399.0)
     assert lengths[-1] - 5.0 == pytest.approx(2.0, abs=0.02 + ROUNDING)
@@ -107,48 +112,27 @@ def test_a_log_is_followed_from_where_the_episode_begins(tmp_path):
     assert free == pytest.approx(5.0 + 0.2 * np.arange(1.0, 101.0), abs=ROUNDING)
 
 
-def test_behind_its_end_a_log_feeds_on(tmp_path):
-    """Rigs stop at last; an episode that stood still with them would never end."""
-    config = TaskConfig()
-    policy = replay_of(tmp_path, log_of([0.3, 0.0], [20.0, 10.0]), config)
-    _, targets = fed_by_device(policy, config, 60.0)
-    assert (targets[21:30] == 0.0).all()
-    assert targets[30:] == pytest.approx(0.02)
-
-
-@pytest.mark.parametrize("interpolation", ["steps", "linear"])
-def test_what_a_schedule_has_fed_is_its_integral(interpolation):
-    schedule = Schedule("time", interpolation, (2.0, 4.0, 9.0), (0.1, 0.3, 0.0), (0.02,) * 3)
+def test_what_a_schedule_has_fed_is_its_integral():
     fine = np.linspace(2.0, 12.0, 1_000_001)
-    middles = 0.5 * (fine[1:] + fine[:-1]) if interpolation == "linear" else fine[:-1]
-    whole = np.concatenate([[0.0], np.cumsum(schedule.at(middles)[0] * np.diff(fine))])
-    # steps look 1e-5 s ahead (``at``), at two steps of 0.2 and 0.3 m/s
-    assert schedule.fed(fine[::1000]) == pytest.approx(whole[::1000], abs=1e-5)
-    assert schedule.fed(0.0) == pytest.approx(-0.2)
-
-
-def test_a_schedule_over_time_is_written_and_read_as_it_is(tmp_path):
-    for start in (None, 7.5):
-        schedule = Schedule("time", "steps", (0.0, 10.0), (0.2, 0.0), (0.02, 0.03), start)
-        path = tmp_path / "s.csv"
-        path.write_text(schedule.to_csv())
-        assert Schedule.read(path) == schedule
-    path.write_text(f"{HEAD}0,-1,0.2,63\n")
-    with pytest.raises(ValueError, match=r"s\.csv: line 2, inserted_length_m = -1\.0 is outside .* 0 to 1000 m"):
-        Schedule.read(path)
+    for interpolation, times in (("linear", 0.5 * (fine[1:] + fine[:-1])), ("steps", fine[:-1])):
+        schedule = Schedule("time", interpolation, (2.0, 4.0, 9.0), (0.1, 0.3, 0.0), (0.02,) * 3)
+        whole = np.concatenate([[0.0], np.cumsum(schedule.at(times)[0] * np.diff(fine))])
+        # steps look 1e-5 s ahead (``at``), at two steps of 0.2 and 0.3 m/s
+        assert schedule.fed(fine[::1000]) == pytest.approx(whole[::1000], abs=1e-5), interpolation
+        assert schedule.fed(0.0) == pytest.approx(-0.2)
 
 
 def test_only_who_replays_may_stand_still():
     """The action is beyond the space of every environment; a schedule over length that stops would never go on."""
     config = TaskConfig()
-    action = np.array([[config.standing, 0.0]], dtype=np.float32)
-    assert config.targets(action, may_stand=True)[0, 0] == 0.0
+    action = np.array([[config.standstill, 0.0]], dtype=np.float32)
+    assert config.targets(action, allow_standstill=True)[0, 0] == 0.0
     with pytest.raises(ValueError, match=r"action\[0\] = -1.1052\d* is outside the accepted range -1 to 1"):
         config.targets(action)
     with pytest.raises(ValueError, match=r"action\[0\] = -1.2"):
-        config.targets([[-1.2, 0.0]], may_stand=True)
+        config.targets([[-1.2, 0.0]], allow_standstill=True)
     with pytest.raises(ValueError, match=r"action\[1\]"):
-        config.targets([[config.standing, config.standing]], may_stand=True)
+        config.targets([[config.standstill, config.standstill]], allow_standstill=True)
     env = gym.make("probe_env/Insertion-v1", fidelity="fast", config={"settle_time": 0.1})
     env.reset(seed=0)
     with pytest.raises(ValueError, match="outside the accepted range"):
@@ -169,7 +153,7 @@ def test_the_example_log_is_followed_in_an_episode(tmp_path):
     path.write_text(log.to_csv())
     config = TaskConfig()
     policy = make_policy(str(path), config)
-    episodes, players = Episodes(1, config, fidelity="fast", threads=1, may_stand=True), Players(1)
+    episodes, players = Episodes(1, config, fidelity="fast", threads=1, allow_standstill=True), Players(1)
     observation, _ = episodes.reset([0], {0: np.random.default_rng(0)}, {0: {"context": Context(friction=0.2)}})
     players.begin(0, policy)
     time, length, speed = [], [], []

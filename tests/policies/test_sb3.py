@@ -29,7 +29,7 @@ def rows(config, count=6):
 def test_a_policy_and_a_bundle_act_as_the_model(kind, env, tmp_path):
     algorithm, name = KINDS[kind]
     model = algorithm(name, env, policy_kwargs={"net_arch": [16, 8]}, seed=1, device="cpu")
-    everything = CONFIG.all_shown
+    everything = CONFIG.full_observation
     shown = rows(everything)
     names = list(everything.observations)
     own = shown[:, [names.index(one) for one in CONFIG.observations]]

@@ -12,7 +12,7 @@ from agents.evaluation.report import write_report
 from agents.evaluation.statistics import grouped
 from agents.policies.catalogue import name_and_spec, named_policies
 from agents.policies.fixed import Constant
-from agents.records.reading import read_csv
+from agents.records.tables import read_csv
 from agents.terminal.tables import print_table
 from probe_env.envs.task import TaskConfig
 

@@ -11,8 +11,8 @@ import pytest
 from agents.evaluation.folder import EPISODES, EPISODES_NEWER, read_episodes
 from agents.evaluation.kpis import CORE, KPIS, shown_of
 from agents.records import manifest
-from agents.records.journal import complete
 from agents.records.manifest import write_json, write_manifest
+from agents.records.models import complete
 from agents.records.tables import read_csv
 from probe_env.files import FileError, one_line, read_text
 

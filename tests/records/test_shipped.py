@@ -13,7 +13,7 @@ ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture
-def installed(tmp_path):
+def installed(tmp_path, monkeypatch):
     """The folder of a package as it is installed, with little in it."""
     package = tmp_path / "site" / "agents"
     for source, target in (
@@ -25,6 +25,7 @@ def installed(tmp_path):
         place = package / "shipped" / target
         place.parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(ROOT / source, place)
+    monkeypatch.setattr(shipped, "PACKAGE", package)
     return package
 
 
@@ -47,23 +48,23 @@ def test_a_checkout_ships_what_it_holds():
 
 def test_an_installed_package_ships_its_own(installed):
     folder = installed / "shipped"
-    assert shipped_agents(installed) == {"ppo": (0, 3)}
-    assert policy_file("ppo@3", installed) == str(folder / "agents" / "ppo" / "seed-3" / "agent.safetensors")
+    assert shipped_agents() == {"ppo": (0, 3)}
+    assert policy_file("ppo@3") == str(folder / "agents" / "ppo" / "seed-3" / "agent.safetensors")
     for name in ("example", "example.csv"):
-        assert policy_file(name, installed) == str(folder / "schedules" / "example.csv")
-    assert policy_file("pi", installed) == "pi"
+        assert policy_file(name) == str(folder / "schedules" / "example.csv")
+    assert policy_file("pi") == "pi"
     with pytest.raises(ValueError, match="policy = 'ppo@1': the training seeds of ppo are 0, 3"):
-        policy_file("ppo@1", installed)
+        policy_file("ppo@1")
     with pytest.raises(FileNotFoundError) as caught:
-        file_or_shipped("scenes", "fig11", installed)
+        file_or_shipped("scenes", "fig11")
     assert (caught.value.filename, caught.value.hint) == ("fig11", "scenes that ship, by name: fig11_l10")
 
 
 def test_a_path_that_exists_wins_and_a_folder_is_none(installed, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("fig11_l10").mkdir()
-    assert file_or_shipped("scenes", "fig11_l10", installed).parent == installed / "shipped" / "scenes"
+    assert file_or_shipped("scenes", "fig11_l10").parent == installed / "shipped" / "scenes"
     for name in ("fig11_l10.toml", "example.csv"):
         Path(name).touch()
-    assert file_or_shipped("scenes", "fig11_l10.toml", installed) == Path("fig11_l10.toml")
-    assert policy_file("example.csv", installed) == "example.csv"
+    assert file_or_shipped("scenes", "fig11_l10.toml") == Path("fig11_l10.toml")
+    assert policy_file("example.csv") == "example.csv"

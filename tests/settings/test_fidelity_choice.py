@@ -1,4 +1,4 @@
-"""Fidelities by name, "auto" with its reasons, and stated errors confirmed on scenes that nothing was chosen on."""
+"""Fidelities by name, and "auto" with its reasons."""
 
 import gymnasium as gym
 import numpy as np
@@ -136,3 +136,22 @@ def test_the_stated_error_of_standard_holds_on_an_unseen_scene(seeds):
         *(rms_at_constant_length(PRESETS[n], seeds(k)) for n, k in (("standard", 16), ("reference", 12)))
     )
     assert abs(difference) <= -np.log(1.0 - error) + reach((0.12, 16), (0.133, 12))
+
+
+def rms_of_insertion(fidelity, seeds):
+    """From 33 to 36 m in an unseen tube."""
+    scene = UNSEEN.model_copy(update={"carrier_length": 30.5})
+    options = {"growing": True, "time_lapse": fidelity.time_lapse, "perturbation": 1e-7, "seeds": seeds}
+    batch = SimulatorBatch([scene] * len(seeds), fidelity.method, fidelity.time_step, **options)
+    batch.advance(None, None, 2.0 / fidelity.time_lapse)
+    return batch.advance(None, None, 15.0 / fidelity.time_lapse).statistics["radial_rms_m"]
+
+
+@pytest.mark.slow
+@pytest.mark.processor
+def test_the_stated_error_of_fast_holds_on_an_unseen_insertion(seeds):
+    """4 % are stated (a member +- 21 and 6 %). With 32 against 8 chance is another 19 %: 23 % are noticed."""
+    (error,) = {r.error for r in measured() if r.fidelity == PRESETS["fast"] and r.output == "radial_rms_m"}
+    assert error < 0.15
+    difference = apart(*(rms_of_insertion(PRESETS[n], seeds(k)) for n, k in (("fast", 32), ("reference", 8))))
+    assert abs(difference) <= -np.log(1.0 - error) + reach((0.21, 32), (0.062, 8))

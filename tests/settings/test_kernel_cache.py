@@ -60,16 +60,6 @@ def test_a_temporary_folder_serves_and_is_named_once(installation):
 
 
 @pytest.mark.slow
-def test_with_a_home_numba_keeps_them_there(installation):
-    home = installation / "home"
-    home.mkdir()
-    folder, _, warning = use(installation, home=str(home))
-    assert folder == ""
-    assert "NUMBA_CACHE_DIR" not in warning
-    assert list(home.rglob("*.nbc"))
-
-
-@pytest.mark.slow
 def test_a_folder_that_cannot_be_written_is_named(installation):
     folder, warning = use(installation, NUMBA_CACHE_DIR="/dev/null/chosen")[::2]
     assert Path(folder).parent == installation / "temporary"
@@ -78,7 +68,7 @@ def test_a_folder_that_cannot_be_written_is_named(installation):
 
 KERNEL = """
 from numba import njit
-from probe_env.physics.other import value
+from probe_env.physics.model.other import value
 @njit(cache=True)
 def kernel():
     return value()
@@ -109,7 +99,7 @@ def test_kernels_are_forgotten_when_what_is_compiled_into_them_changes(tmp_path,
     environment |= {"HOME": str(tmp_path), "LOCALAPPDATA": str(tmp_path), "PYTHONPATH": str(tmp_path / "site")}
     outcomes = []
     for value in (1, 1, 2):
-        (package / "physics" / "other.py").write_text(OTHER.format(value=value))
+        (package / "physics" / "model" / "other.py").write_text(OTHER.format(value=value))
         done = subprocess.run([sys.executable, "-c", CALL], env=environment, capture_output=True, text=True, cwd="/")
         outcomes.append(done.stdout.split() or done.stderr)
     assert outcomes == [["1", "0"], ["1", "1"], ["2", "0"]]

@@ -1,16 +1,14 @@
 """Superelements give way to nodes where the cable between floats is more than elastic, and say so."""
 
-import logging
-
 import gymnasium as gym
 import numpy as np
 import pytest
 
 from agents.evaluation.run import plan_of
-from agents.policies.places import place_of
+from agents.policies.cases import case_of
 from probe_env import Fidelity, Plant, Scene
 from probe_env.envs.episodes import Episodes
-from probe_env.fidelity import PRESETS, _log_nodes, resolve_fidelity, with_nodes
+from probe_env.fidelity import PRESETS, resolve_fidelity
 from probe_env.physics.methods import METHODS, ON_NODES
 
 CABLE = {"contact": {"cable": True}}
@@ -28,12 +26,12 @@ def test_presets_have_nodes_where_the_scene_needs_some(name, needing):
         assert taken == preset
         return
     assert taken.method in ON_NODES
-    assert method.lanes.precision == METHODS[taken.method].lanes.precision
+    assert method.precision == METHODS[taken.method].precision
     assert taken.time_lapse == preset.time_lapse
     assert taken.nodes_per_pitch == 8  # the converged mesh
     limit = METHODS[taken.method].stable_step(scene, taken.nodes_per_pitch)
     assert METHODS[taken.method].least_step <= taken.time_step <= min(preset.time_step, limit)
-    assert with_nodes(taken, scene) == taken
+    assert resolve_fidelity(taken, scene) == taken
 
 
 def test_auto_and_settings_of_ones_own_give_way_as_well():
@@ -45,16 +43,6 @@ def test_auto_and_settings_of_ones_own_give_way_as_well():
         assert taken.time_step <= elastic.time_step
     own = Fidelity(method="imex", time_step=1e-4, nodes_per_pitch=4)
     assert resolve_fidelity(own, scene) == own
-
-
-def test_it_is_said_once(caplog):
-    _log_nodes.cache_clear()
-    with caplog.at_level(logging.WARNING):
-        for _ in range(3):
-            resolve_fidelity("standard", Scene.model_validate(CABLE))
-    (line,) = caplog.messages
-    assert "superelement32 has no nodes between floats" in line
-    assert "imex32 at 0.000125 s, 8 nodes a pitch is taken" in line
 
 
 @pytest.mark.parametrize("env_id", ["Insertion", pytest.param("Design", marks=pytest.mark.slow)])
@@ -77,7 +65,7 @@ def test_environments_simulate_such_a_scene_by_default(env_id):
 def test_an_evaluation_by_auto_goes_by_its_own_tubes():
     """As its episodes do; a contact that is harder than table 2's takes another setting."""
     hard = Plant.model_validate({"contact": {"stiffness": 5e5}})
-    place = place_of(hard, "test", 2)
+    place = case_of(hard, "test", 2)
     plan = plan_of(["constant"], place, 1, "auto:0.5")
     episodes = Episodes(1, plan.config, threads=1, fidelity="auto:0.5", contexts=place.contexts)
     assert plan.fidelity == episodes.fidelity != resolve_fidelity("auto:0.5")
@@ -85,7 +73,7 @@ def test_an_evaluation_by_auto_goes_by_its_own_tubes():
 
 def test_an_evaluation_keeps_what_it_was_simulated_with():
     """In the plan, so in setting and manifest, also at half the step and where a finer fidelity checks it."""
-    place = place_of(Plant.model_validate(SHORT | CABLE), "test", 1)
+    place = case_of(Plant.model_validate(SHORT | CABLE), "test", 1)
     plan = plan_of(["constant"], place, 1, "fast")
     assert plan.fidelity == resolve_fidelity("fast", Scene.model_validate(CABLE))
     assert plan.setting()["fidelity"] == plan.fidelity.model_dump()

@@ -93,8 +93,3 @@ def test_copies_are_validated_and_keep_the_other_fields():
         scene.model_copy(update={"carrier_length": 59.0})
     with pytest.raises(ValidationError):
         scene.feed_speed = 0.1  # frozen
-
-
-def test_helix_may_be_filled_to_the_end():
-    assert Scene(carrier_length=57.5).inserted_length == 60.0
-    assert Scene(tube={"helix_length": 1000.0}, carrier_length=997.5).inserted_length == 1000.0

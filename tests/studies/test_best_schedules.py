@@ -5,7 +5,6 @@ import json
 import numpy as np
 import pandas as pd
 import pytest
-from kills import SERVER, hook_replace, kill, killed
 
 from agents.policies.catalogue import BY_DIAMETER, DATA, make_policy
 from agents.records.manifest import commit
@@ -91,35 +90,11 @@ def test_damaged_episodes_are_refused_before_anything_is_tried(tmp_path, monkeyp
         assert [path.name for path in file.parent.iterdir()] == [name]
 
 
-def search_until(folder, number):
-    """Killed when the ``number``-th file is about to be put in its place; 0: never."""
-    cost = pytest.MonkeyPatch()
-    cost.setattr(MapCost, "reward", lambda _, schedule: -((schedule.feed_speed[0] - 0.1) ** 2))
-    cost.setattr(optimise, "run_plan", lambda *_, **__: SIMULATED)
-    for name in FILES:
-        hook_replace(name, 1 if FILES.index(name) + 1 == number else 0, kill)
-    run_search("best-constant", 40, Request(folder), stored_map(), None)
-
-
-FILES = ("best-constant-trials.csv", "best-constant.csv", "best-constant.json")
-
-
-@pytest.mark.slow
-def test_a_search_killed_between_its_files_gives_the_same(tmp_path):
-    """What was written is whole, and the same command makes what was never interrupted."""
-    number = 2
-    killed(search_until, tmp_path / "run", number)
-    assert sorted(path.name for path in (tmp_path / "run").glob("best-*")) == sorted(FILES[: number - 1])
-    for name in ("run", "whole"):
-        search_process = SERVER.Process(target=search_until, args=(tmp_path / name, 0))
-        search_process.start()
-        search_process.join()
-        assert search_process.exitcode == 0
-    for name in FILES[:2]:
-        assert (tmp_path / "run" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
-
-
 def test_a_shorter_search_begins_as_a_longer_one():
     """What an interrupt left undone is all that differs: nothing of an earlier search is needed to go on."""
-    both = [optimise.search(lambda x: -((x[0] - 0.3) ** 2) - x[1] ** 2, (0.5, 0.5), n, "test")[0] for n in (48, 96)]
+
+    def rewards_of(x):
+        return list(-((x[:, 0] - 0.3) ** 2) - x[:, 1] ** 2)
+
+    both = [optimise.search(rewards_of, (0.5, 0.5), generations, "test")[0] for generations in (3, 6)]
     assert (both[0] == both[1][:48]).all()

@@ -10,7 +10,8 @@ from oracles.scatter import CHANCE, reach
 from scipy.signal import get_window
 
 from agents.records.store import stored_rows
-from agents.studies.claims import cases, run_claims
+from agents.studies.builtin import Request
+from agents.studies.claims import cases, claims_of, run
 from agents.studies.claims.cases import (
     CASES,
     INSERTED,
@@ -22,22 +23,11 @@ from agents.studies.claims.cases import (
     run_case,
     trip,
 )
-from agents.studies.claims.claims import claims_of
 from probe_env.physics.closed_forms import steady_root_tension
 
 ROOT = Path(__file__).parents[2]
-SCENES = ROOT / "configs" / "scenes"
 TABLE = load_rows(ROOT / "results" / "study")
 NAMED = {case.name: case for case in CASES}
-
-
-def test_the_stored_ensemble_is_complete():
-    assert len(NAMED) == len(CASES)
-    assert set(SUBSET) < set(NAMED)
-    sizes = TABLE.groupby("case").size()
-    assert set(sizes.index) == set(NAMED)
-    assert all(sizes[case.name] >= 6 for case in INSERTED)
-    assert all(sizes[case.name] >= (4 if case.method == "imex" else 2) for case in TRIPS)
 
 
 @pytest.mark.slow
@@ -49,7 +39,7 @@ def test_a_stored_member_is_repeated(name):
     And as the chart's 32 members of imex at 1e-4 s have: up to 0.006 % of the means and 1.5 % of radial rms. A tenth of
     the vibration is noticed, and a thousandth of a mean.
     """
-    row = run_case(NAMED[name], SCENES, 1, 8.0)
+    row = run_case(NAMED[name], 1, 8.0)
     stored = TABLE[(TABLE["case"] == name) & (TABLE["member"] == 1)].iloc[0]
     for statistic, scatter in (("axial_mean_m", 1e-4), ("root_tension_mean_n", 5e-5), ("radial_rms_m", 0.015)):
         chance = reach((scatter, 1), (scatter, 1), chance=CHANCE / 3)
@@ -57,6 +47,10 @@ def test_a_stored_member_is_repeated(name):
 
 
 def test_every_claim_gets_its_rows_and_the_stored_table_is_theirs():
+    sizes = TABLE.groupby("case").size()
+    assert set(SUBSET) < set(sizes.index) == set(NAMED)
+    assert len(NAMED) == len(CASES)
+    assert all(sizes[case.name] >= (6 if case in INSERTED else 4 if case.method == "imex" else 2) for case in CASES)
     claims = claims_of(TABLE)
     assert set(claims["figure"]) == {"5", "11", "14", "15", "16", "17", "18", "20", "(e)", "-"}
     stored = pd.read_csv(ROOT / "results" / "study" / "claims.csv", dtype={"figure": str})
@@ -105,42 +99,42 @@ def test_verdicts_follow_the_rows():
 def test_withdrawals_differ_from_their_insertions_in_direction_alone():
     for case in TRIPS:
         if case.withdrawn:
-            fed, back = NAMED[insertion_of(case.name)].load_scene(SCENES), case.load_scene(SCENES)
-            assert back.feed_speed == -fed.feed_speed < 0.0
-            assert back.air_supply_rate == -fed.air_supply_rate < 0.0
+            fed, back = NAMED[insertion_of(case.name)].load_scene(), case.load_scene()
             assert (back.couple, fed.couple) == ("tangent", "frame")
-            reversed_fields = {"feed_speed", "air_supply_rate", "couple"}
-            assert back.model_dump(exclude=reversed_fields) == fed.model_dump(exclude=reversed_fields)
+            assert fed.feed_speed > 0.0 < fed.air_supply_rate
+            turned = {"feed_speed": -fed.feed_speed, "air_supply_rate": -fed.air_supply_rate, "couple": "tangent"}
+            assert back.model_dump() == fed.model_dump() | turned
 
 
 @pytest.mark.parametrize("withdrawn", [False, True])
 def test_a_short_trip_slides_as_the_closed_form_and_is_repeated(withdrawn):
     """Pressure and pull at the root of 3 m within 1 %; equal to the bit when run again."""
     case = trip("original", 3, withdrawn=withdrawn)
-    row = run_case(case, SCENES, 1, 2.0)
-    expected = steady_root_tension(case.load_scene(SCENES))
+    row = run_case(case, 1, 2.0)
+    expected = steady_root_tension(case.load_scene())
     assert row["root_tension_mean_n"] == pytest.approx(expected, rel=0.01)
     assert math.copysign(1.0, row["root_tension_mean_n"]) == (-1.0 if withdrawn else 1.0)
     assert row["radial_mean_m"] == pytest.approx(5.2e-3 if withdrawn else 0.0, abs=1e-4)
-    pd.testing.assert_series_equal(pd.Series(run_case(case, SCENES, 1, 2.0)), pd.Series(row), check_exact=True)
+    pd.testing.assert_series_equal(pd.Series(run_case(case, 1, 2.0)), pd.Series(row), check_exact=True)
 
 
 def test_runs_are_stored_and_not_repeated(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("agents.studies.claims.SUBSET", ("l10", "original-l10-u200-in"))
-    options = {"duration": 0.5, "subset": True}
-    run_claims(tmp_path, **options)
+    monkeypatch.setattr(cases, "DURATION", 0.5)
+    run(Request(tmp_path, limit=1))
     first = stored_rows(tmp_path / "ensemble.csv")
     original, ran = cases.run_case, []
     monkeypatch.setattr(
-        cases, "run_case", lambda case, *rest: ran.append((case.name, rest[1])) or original(case, *rest)
+        cases, "run_case", lambda case, *rest: ran.append((case.name, rest[0])) or original(case, *rest)
     )
-    run_claims(tmp_path, members=2, **options)
+    run(Request(tmp_path, limit=1, trials=2))
     assert sorted(ran) == [("l10", 1), ("original-l10-u200-in", 1)]
     second = stored_rows(tmp_path / "ensemble.csv")
     assert len(second) == 4
     merged = second[second["member"] == 0].sort_values("case").reset_index(drop=True)
     pd.testing.assert_frame_equal(merged[first.columns], first.sort_values("case").reset_index(drop=True))
-    run_claims(tmp_path, duration=0.6, subset=True)  # of another duration: the first stay
+    monkeypatch.setattr(cases, "DURATION", 0.6)
+    run(Request(tmp_path, limit=1))  # of another duration: the first stay
     assert len(stored_rows(tmp_path / "ensemble.csv")) == 6
     assert pd.read_csv(tmp_path / "claims.csv")["case"].tolist() == []
     assert "Claims: 1 run(s) a case, 0.6 s each" in capsys.readouterr().out
@@ -151,7 +145,10 @@ TIME = PERIOD * np.arange(6001)
 
 
 def test_the_amplitude_of_a_sine_is_found():
-    """Within 1 Hz of the highest bin a Hann window of 2 s has all but 0.4 % of a sine's power: that share is found."""
+    """Within 1 Hz of the highest bin a Hann window of 2 s has all but 0.4 % of a sine's power: that share is found.
+
+    Of two sines the greater one is found.
+    """
     for hertz, amplitude in ((3.0, 1.0), (14.0, 1.0), (14.2, 1e-7), (55.25, 1e-7)):
         peak, height = highest_peak(amplitude * np.sin(2.0 * np.pi * hertz * TIME + 0.3), PERIOD)
         assert abs(peak - hertz) <= 0.25
@@ -161,9 +158,6 @@ def test_the_amplitude_of_a_sine_is_found():
         share = sum(lines) / (2000 * (window**2).sum())
         assert share > 0.99
         assert height == pytest.approx(amplitude * np.sqrt(share), rel=1e-3)  # its mirror at -f is left
-
-
-def test_of_two_sines_the_greater_is_found():
     signal = 1e-3 * np.sin(2.0 * np.pi * 9.0 * TIME) + 3e-3 * np.sin(2.0 * np.pi * 20.0 * TIME)
     peak, height = highest_peak(signal, PERIOD)
     assert peak == 20.0

@@ -29,7 +29,7 @@ from probe_env.envs.task import TaskConfig
 from probe_env.envs.vibration_map import stored_map
 from probe_env.schedule import Schedule
 
-CONFIG = TaskConfig().all_shown
+CONFIG = TaskConfig().full_observation
 
 
 def test_a_quasi_steady_world_earns_what_the_map_expects_of_a_schedule() -> None:

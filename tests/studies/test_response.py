@@ -10,7 +10,7 @@ import pytest
 
 from agents.plant.response import Response
 from agents.studies.builtin import Request
-from agents.studies.shipped import insertions, response
+from agents.studies.shipped import response
 
 SIZE = 4
 
@@ -18,14 +18,17 @@ SIZE = 4
 @pytest.fixture
 def small(monkeypatch: pytest.MonkeyPatch) -> None:
     """Four insertions a group, into tubes of 9 and 8 m, at fast; three epochs."""
-    monkeypatch.setattr(insertions, "SIZE", SIZE)
-    monkeypatch.setattr(insertions, "LENGTHS", (9.0, 8.0))
-    for module in (insertions, response):
-        monkeypatch.setattr(module, "FIDELITY", "fast")
-    monkeypatch.setattr(response, "LEAST_METRES", 1)
-    monkeypatch.setattr(response, "LAGS", 2)
-    monkeypatch.setattr(response, "EPOCHS", 3)
-    monkeypatch.setattr(response, "BATCH", 8)
+    small = {
+        "SIZE": SIZE,
+        "LENGTHS": (9.0, 8.0),
+        "FIDELITY": "fast",
+        "LEAST_METRES": 1,
+        "LAGS": 2,
+        "EPOCHS": 3,
+        "BATCH": 8,
+    }
+    for name, value in small.items():
+        monkeypatch.setattr(response, name, value)
 
 
 @pytest.mark.slow
@@ -37,18 +40,18 @@ def test_groups_are_simulated_once_and_the_response_is_of_all(
         rows = {name: bank[name] for name in bank.files}
     assert set(np.unique(rows["specimen"])) <= {SIZE + k for k in range(SIZE)}
     assert len({len(values) for values in rows.values()}) == 1
-    plant, specimens = insertions.tubes_of(1)
+    plant, specimens = response.tubes_of(1)
     assert plant.tube.helix_length == 8.0
     for specimen in np.unique(rows["specimen"]).astype(int):
         part, context = rows["specimen"] == specimen, specimens[specimen - SIZE].context
         assert set(rows["friction"][part]) == {context.friction}
         assert (np.diff(rows["length"][part]) > 0.0).all()
         assert rows["length"][part].max() <= 8.0
-    for name, (low, high) in (("feed", insertions.FEEDS), ("air", insertions.AIRS)):
+    for name, (low, high) in (("feed", response.FEEDS), ("air", response.AIRS)):
         assert low * 0.9 <= rows[name].min() <= rows[name].max() <= high * 1.1
     record = json.loads((tmp_path / "response.json").read_text())
     assert (record["insertions"], record["fidelity"]) == (2 * SIZE, "fast")
-    monkeypatch.setattr(insertions, "simulated", lambda group: pytest.fail(f"group {group} was simulated again"))
+    monkeypatch.setattr(response, "simulated", lambda group: pytest.fail(f"group {group} was simulated again"))
     again = response.run(Request(tmp_path, limit=2))
     loaded = Response.load(tmp_path / "response.npz")
     for one, other in ((made, again), (made, loaded)):

@@ -13,9 +13,9 @@ import pytest
 from agents.cli import main
 from agents.evaluation import plan as plans
 from agents.evaluation.statistics import paired_difference
+from agents.policies.cases import with_probe
 from agents.policies.catalogue import named_policies
 from agents.policies.fixed import PI, Constant
-from agents.policies.places import with_probe
 from agents.records.shipped import shipped_folder, shipped_names
 from agents.studies import run as runs
 from agents.studies.builtin import BUILT_IN
@@ -97,13 +97,13 @@ def test_it_resumes(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytes
     """Nothing is run again; with one more ramp only that is."""
     before = (folder / "out" / "comparison.csv").read_bytes()
     played: list[int] = []
-    play = plans._play
+    play = plans._lines
 
     def counted(plan: Any, missing: Any, *rest: Any) -> Any:
         played.append(len(missing))
         return play(plan, missing, *rest)
 
-    monkeypatch.setattr(plans, "_play", counted)
+    monkeypatch.setattr(plans, "_lines", counted)
     assert main(["study", str(folder / "short.toml"), "--output", str(folder / "out")]) == 0
     assert played == []
     assert (folder / "out" / "comparison.csv").read_bytes() == before
@@ -164,7 +164,7 @@ def test_fields_change_what_they_say(tmp_path: Path) -> None:
             { "fidelity.time_step" = 1e-4 }, { probe = "improved" }, { fidelity = "standard" }]
     """
     settings = expand(study_of(text, tmp_path / "fields.toml"))
-    usual = TaskConfig().all_shown
+    usual = TaskConfig().full_observation
     tasks = [setting.plan.config for setting in settings]
     assert tasks[0] == tasks[4] == tasks[6] == usual
     assert tasks[1].delay_periods == 2

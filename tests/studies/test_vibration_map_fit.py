@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from agents.cli import main
-from agents.policies.places import map_beside, place_at
+from agents.policies.cases import load_case, map_beside
 from agents.studies.builtin import Request
 from agents.studies.shipped import vibration_map as maker
 from agents.studies.shipped.vibration_map import SEGMENT, SMEARED, fit_map
@@ -57,12 +57,12 @@ def test_a_tube_of_your_own_has_its_map_and_schedules(tmp_path: Path, monkeypatc
     file = tmp_path / "small.toml"
     file.write_text("[tube]\nhelix_diameter = 0.8\nhelix_length = 7.0\ninner_diameter = 23e-3\n")
     assert maker.run(Request(tmp_path / "map", trials=1, tube=file)) == map_beside(file)
-    place, loaded = place_at(file, "test", 6), VibrationMap.load(map_beside(file))
+    place, loaded = load_case(file, "test", 6), VibrationMap.load(map_beside(file))
     assert place.vibration == loaded
     assert loaded.scene == Plant.from_toml(file).scene
     assert loaded.digest != stored_map().digest
     where = (np.array([6.0]), np.array([0.1]), np.array([0.02]), np.array([[0.15, 1e5, 1.0, 0.8]]))
-    mean, deviation = loaded.tells(*where, loaded.scene)
+    mean, deviation = loaded.predict(*where, loaded.scene)
     # a probe of 7 m hardly vibrates: micrometres, between the floor of 0.1 um and 0.1 mm
     assert -3.0 <= mean[0] <= 0.0
     assert 0.0 < deviation[0] < 1.0

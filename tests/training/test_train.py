@@ -1,4 +1,7 @@
-"""Training: the same seed gives the same weights, also when killed; broken settings are named before any work."""
+"""Training: the same seed gives the same weights, also when killed; broken settings are named before any work.
+
+An agent of both passes acts on both, and nowhere else.
+"""
 
 import json
 import shutil
@@ -8,19 +11,24 @@ import pandas as pd
 import pytest
 import torch
 from kills import Killed, hook_replace, killed_at, stop
-from poisons import ANYWHERE, JSON
+from poisons import ANYWHERE, JSON, Poison
 from safetensors.numpy import load_file
 
 from agents.cli import main
 from agents.evaluation.plan import Plan, run_plan
-from agents.policies.bundle import Agent, build_policy, load_bundle
+from agents.policies.bundle import Agent, Description, Network, build_policy, load_bundle, write_bundle
+from agents.policies.cases import plant_at
+from agents.policies.catalogue import make_policy
 from agents.policies.fixed import Constant
-from agents.policies.places import plant_at
+from agents.policies.view import View
+from agents.policies.wrappers import BothWays
 from agents.training.config import Training
-from agents.training.train import BEST, CHECKPOINT, CURVE, RUN, run_lock, train_all
+from agents.training.train import BEST, CHECKPOINT, CURVE, RUN, VALIDATED, run_lock, train_all
 from probe_env import Fidelity, load_contexts
 from probe_env.design import RANGES
 from probe_env.envs.task import TaskConfig
+from probe_env.fidelity import BOTH_WAYS
+from probe_env.files import FileError
 
 COARSE = Fidelity(time_lapse=20.0)
 LAPSE = Fidelity(time_lapse=10.0)
@@ -35,15 +43,19 @@ TINY = {
 PPO = {**TINY, "learning": {"n_steps": 16, "batch_size": 32, "n_epochs": 2}}
 IMITATING = {**PPO, "imitation": {"teacher": "slow-down", "rounds": 2, "steps": 32, "epochs": 2}}
 GUIDED = {
-    **PPO, "guide": "plc-law", "network": {"net_arch": (8,), "noise_interval": 4},
-    "imitation": {"teacher": "plc-law", "rounds": 1, "steps": 32, "epochs": 2},
+    **PPO, "guide": "plc-proportional", "network": {"net_arch": (8,), "noise_interval": 4},
+    "imitation": {"teacher": "plc-proportional", "rounds": 1, "steps": 32, "epochs": 2},
 }  # fmt: skip
 RECURRENT = {**PPO, "algorithm": "recurrent-ppo"}
 SAC = {**TINY, "algorithm": "sac", "learning": {"learning_starts": 16, "buffer_size": 256, "batch_size": 8}}
 ONE = PPO | {"phases": 1}
-VALIDATED = pd.DataFrame(
-    {"reward": [1.0], "inspection_time_s": [1.0], "share_within_limit": [1.0], "diverged": [0.0]}
-)  # fmt: skip
+BACK = Fidelity(method="imex", time_step=1.25e-4, time_lapse=20.0)
+SHIFT = ONE | {
+    "environment": {**PPO["environment"], "env_id": "probe_env/Inspection-v0", "fidelity": BACK},
+    "imitation": {"teacher": "fast-in", "rounds": 1, "steps": 32, "epochs": 2},
+    "validation": {"limit": 1, "fidelity": "fast"},
+}
+"""Both passes."""
 COLUMNS = ["phase", "steps", "reward", "inspection_time_s", "share_within_limit"]
 
 
@@ -62,6 +74,14 @@ def trained(tmp_path_factory):
 @pytest.fixture
 def run(trained, tmp_path):
     return shutil.copytree(trained[0], tmp_path / "run")
+
+
+@pytest.fixture
+def validations(monkeypatch):
+    """Plans of validations, none of which is played."""
+    plans, table = [], pd.DataFrame({name: [1.0] for name in ("reward", *VALIDATED)})
+    monkeypatch.setattr("agents.training.train.run_plan", lambda plan, *_, **__: plans.append(plan) or table)
+    return plans
 
 
 def test_resumed_equals_never_stopped(run, tmp_path):
@@ -88,43 +108,35 @@ def test_every_algorithm_resumes_to_the_same_weights(settings, tmp_path):
     assert equal_weights(tmp_path / "whole", tmp_path / "parts")
 
 
-@pytest.mark.slow
-def test_stopped_before_any_file_is_in_its_place_it_goes_on(tmp_path, monkeypatch):
-    """A run's files: run.json, then of each phase the agent, if it is the best so far, checkpoint and curve."""
-    train_all(Training(**PPO), tmp_path / "whole", resume=False)
-    for name, number in ((RUN, 1), (BEST, 1), (CHECKPOINT, 1), (CURVE, 1), (CHECKPOINT, 2), (CURVE, 2)):
-        folder = tmp_path / f"{name}-{number}"
-        with monkeypatch.context() as patch:
-            hook_replace(name, number, stop, patch)
-            with pytest.raises(Killed):
-                train_all(Training(**PPO), folder, resume=False)
-        train_all(Training(**PPO), folder, resume=True)
-        assert equal_weights(tmp_path / "whole", folder), (name, number)
-        assert pd.read_csv(folder / "seed-0" / CURVE)["phase"].tolist() == [1, 2]
-
-
 def _train(folder, resume):
     train_all(Training(**PPO), folder, resume=resume)
 
 
 @pytest.mark.slow
-def test_killed_in_its_second_phase_it_goes_on(tmp_path):
+def test_stopped_before_any_file_is_in_its_place_and_killed_it_goes_on(tmp_path, monkeypatch):
+    """A run's files: run.json, then of each phase the agent, if it is the best so far, checkpoint and curve."""
     _train(tmp_path / "whole", False)
     assert killed_at("agents.training.train.save_checkpoint", 2, _train, tmp_path / "killed", False)
     _train(tmp_path / "killed", True)
     assert equal_weights(tmp_path / "whole", tmp_path / "killed")
+    for name, number in ((RUN, 1), (BEST, 1), (CHECKPOINT, 1), (CURVE, 1), (CHECKPOINT, 2), (CURVE, 2)):
+        folder = tmp_path / f"{name}-{number}"
+        with monkeypatch.context() as patch:
+            hook_replace(name, number, stop, patch)
+            with pytest.raises(Killed):
+                _train(folder, False)
+        _train(folder, True)
+        assert equal_weights(tmp_path / "whole", folder), (name, number)
+        assert pd.read_csv(folder / "seed-0" / CURVE)["phase"].tolist() == [1, 2]
 
 
-def test_one_training_in_a_folder(tmp_path):
-    folder = tmp_path / "seed-0"
+def test_an_existing_run_is_not_overwritten_nor_mixed(run, tmp_path):
+    folder = tmp_path / "other" / "seed-0"
     with run_lock(folder), pytest.raises(ValueError, match="seed-0: another process trains there"):
-        train_all(Training(**PPO), tmp_path, resume=False)
+        train_all(Training(**PPO), folder.parent, resume=False)
     assert not list(folder.iterdir())
     with run_lock(folder):
         pass
-
-
-def test_an_existing_run_is_not_overwritten_nor_mixed(run):
     before = (run / "seed-0" / CHECKPOINT).read_bytes()
     other = PPO | {"learning": {"n_steps": 16, "batch_size": 16}}
     for settings, resume, message in (
@@ -151,16 +163,6 @@ def not_refused(damages, path, run):
         shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
         path.write_bytes(whole)
     return failures
-
-
-class Poison:
-    """Unpickled, it would write a file."""
-
-    def __init__(self, path):
-        self.path = path
-
-    def __reduce__(self):
-        return (open, (str(self.path), "w"))
 
 
 def changed(change):
@@ -199,12 +201,10 @@ def test_damaged_files_are_named_and_nothing_in_them_is_run(run):
 
 
 @pytest.mark.slow
-def test_an_agent_of_random_probes_is_validated_on_random_probes(tmp_path, monkeypatch):
-    plans = []
-    monkeypatch.setattr("agents.training.train.run_plan", lambda plan, *_, **__: plans.append(plan) or VALIDATED)
+def test_an_agent_of_random_probes_is_validated_on_random_probes(tmp_path, validations):
     environment = PPO["environment"] | {"probes": "random", "task": SHORT | {"observe_probe": True}}
     train_all(Training(**ONE | {"environment": environment}), tmp_path, resume=False)
-    assert [plan.probes for plan in plans] == ["random"]
+    assert [plan.probes for plan in validations] == ["random"]
     agent = load_bundle(tmp_path / "seed-0" / BEST)
     assert set(RANGES) < set(agent.description.view.observations)
     with pytest.raises(ValueError, match=r"guide_length.* not shown by this task"):
@@ -214,28 +214,21 @@ def test_an_agent_of_random_probes_is_validated_on_random_probes(tmp_path, monke
 BROKEN = {
     "algorithm = 'a2c'": "algorithm: ",
     "seeds = [1, 1]": "seeds = ",
-    "seeds = []": "seeds = ",
     "seeds = [-1]": "seeds.0",
-    "phases = -1": "phases: ",
     "phases = 0": "leaves nothing to train",
-    "phase_steps = 0": "phase_steps",
     "averages = [0.0]": "averages",
     "colour = 1": "colour",
     "[learning]\nmomentum = 1": "learning.momentum is not one of ppo's",
-    "[learning]\npolicy = 1": "learning.policy",
     "[learning]\nuse_sde = true": "learning.use_sde",
     "[learning]\nbatch_size = 1": "learning.batch_size = 1",
     "[environment]\nenv_id = 'probe_env/Snapshot-v1'": "needs a growing probe",
     "[network]\nnet_arch = [1000000]": "network.net_arch",
-    "[environment]\nnum_envs = 0": "environment.num_envs",
     "[environment]\nfidelity = 'fastest'": "fidelity = 'fastest'",
     "[environment]\nfidelity = { time_lapse = 16.0 }": "not a whole number",
     "[environment]\ncontexts = 'all'": "environment.contexts",
     "[environment]\nenv_id = 'CartPole-v1'": "environment.env_id",
     "[environment.task]\nperiods = 1.0": "periods",
-    "[network]\nnet_arch = ['wide']": "network.net_arch",
     "algorithm = 'sac'\n[imitation]\nrounds = 1": "imitation needs algorithm = 'ppo'",
-    "[imitation]\nrounds = 0": "imitation.rounds",
     "[imitation]\nteacher = 'nobody'": "teacher",
     "[validation]\nlimit = -1": "validation.limit",
     "seeds = [": "not a TOML file",
@@ -290,3 +283,64 @@ def test_smoke_training_beats_the_study_s_constant_and_no_training(tmp_path):
     reward = run_plan(plan, tmp_path / "evaluation", progress=False).groupby("policy")["reward"].mean()
     assert reward["trained"] > reward["constant"]
     assert reward["trained"] > reward["untrained"]
+
+
+@pytest.mark.slow
+def test_an_agent_of_both_passes_is_asked_on_both(tmp_path, validations, monkeypatch):
+    """In a helix of 8 m, begun at 5 m: what it says on the way back is what is done there."""
+    train_all(Training(**SHIFT), tmp_path, resume=False)
+    assert {plan.fidelity for plan in validations} == {BOTH_WAYS["fast"]}  # in an insertion ``fast`` cannot go back
+    path = str(tmp_path / "seed-0" / BEST)
+    config = TaskConfig(
+        passes="both", inspects="back", scene={"tube": {"helix_length": 8.0}}, time_limit=100.0
+    ).full_observation
+    agent = make_policy(path, config)
+    assert isinstance(agent, Agent)
+    asked, predict, way = [], agent.predict, list(config.observations).index("way")
+
+    def recorded(observation, state=None, episode_start=None, deterministic=False):
+        rows = np.atleast_2d(observation)
+        asked.extend(rows[:, way].tolist())
+        actions, state = predict(observation, state, episode_start, deterministic)
+        fast_back = config.action(0.4, 0.02)
+        return np.where(rows[:, way : way + 1] < 0.0, fast_back, actions).astype(np.float32), state
+
+    monkeypatch.setattr(agent, "predict", recorded)
+    table = run_plan(Plan({"agent": agent}, load_contexts("test")[:1], (0,), config, BACK), None)
+    assert {1.0, -1.0} <= set(asked)
+    assert bool(table["complete"].all())
+    with pytest.raises(FileError, match=r"observations = way are not .*; an agent that sees the way is for passes ="):
+        make_policy(path, TaskConfig().full_observation)
+    with pytest.raises(ValueError, match=r"policy = 'shielded:.*agent.safetensors': the shield is for the way in"):
+        make_policy(f"shielded:{path}", config)
+
+
+def test_an_agent_keeps_the_steps_of_the_feed_that_it_was_trained_with(tmp_path):
+    """On a device without steps: every change of the feed shakes a probe that is drawn back."""
+    task, path = TaskConfig(passes="both", feed_speed_step=0.05), tmp_path / "agent.safetensors"
+    view = View(observations=tuple(task.observations))
+    description = Description(algorithm="ppo", network=Network(net_arch=(8,)), view=view, task=task, trained={})
+    write_bundle(path, description, build_policy(description))
+    config = TaskConfig(passes="both").full_observation
+    policy = make_policy(str(path), config)
+    assert policy.domain.helix_length == 60.0
+    rows = np.random.default_rng(0).uniform(-1.0, 1.0, (3, len(config.observations))).astype(np.float32)
+    actions, state = policy.predict(rows, deterministic=True)
+    stepped = TaskConfig(passes="both", feed_speed_step=0.05).full_observation
+    own, _ = make_policy(str(path), stepped).predict(rows, deterministic=True)
+    feed, air = config.targets(actions).T
+    requested, blown = TaskConfig().targets(own).T
+    np.testing.assert_allclose(feed / 0.05, np.round(requested / 0.05), atol=1e-6)
+    np.testing.assert_allclose(air, blown, rtol=1e-6)
+    one, _ = policy.predict(rows[0], deterministic=True)
+    np.testing.assert_allclose(one, actions[0], rtol=0, atol=1e-6)  # a row's and a table's sums, in single precision
+    later, _ = policy.predict(rows, state, np.zeros(3, dtype=bool), deterministic=True)
+    assert later.shape == (3, 2)
+
+
+def test_both_ways_need_a_method_that_goes_back():
+    for part in ("environment", "validation"):
+        settings = SHIFT | {part: SHIFT[part] | {"fidelity": Fidelity()}}
+        with pytest.raises(ValueError, match="superelement32 does not simulate the way back; give one of"):
+            Training(**settings)
+    assert isinstance(make_policy("ppo", TaskConfig(passes="both").full_observation), BothWays)

@@ -161,9 +161,9 @@ class SlowMotion:
 
     def show(self, motion: Motion) -> None:
         """Play a motion."""
-        kept = motion.floats
-        floats = (-motion.distance[kept], motion.lever[kept], motion.outer_gap[kept])
-        frames = [float_columns(floats[0], radial[kept], *floats[1:]) for radial in motion.radial]
+        nodes = motion.floats
+        position, walls = -motion.distance[nodes], (motion.lever[nodes], motion.outer_gap[nodes])
+        frames = [float_columns(position, radial[nodes], *walls) for radial in motion.radial]
         self.film.data = {name: [frame[name] for frame in frames] for name in FLOAT_COLUMNS}
         rms = float(motion.signal_radial[motion.signal_time >= 0.0].std()) * MM
         self.caption.text = (
@@ -229,8 +229,8 @@ class FlawChart:
         x, y = signal.voltages.T
         self.signals.data = {"time": signal.time, "x": x, "y": y}
         self.loop.data = {"x": x[signal.near], "y": y[signal.near]}
-        called = "called" if signal.filtered > signal.threshold else "not called"
+        verdict = "detected" if signal.filtered > signal.threshold else "not detected"
         self.caption.text = (
-            f"<p>A flaw of {self.depth.value:.0f} % has a signal-to-noise ratio of {signal.snr:.1f}. Filtered signal"
-            f" {signal.filtered:.1f}, threshold {signal.threshold:.1f}: <b>{called}</b>.</p>"
+            f"<p>A flaw of {self.depth.value:.0f} %: S/N {signal.snr:.1f}; after the filter {signal.filtered:.1f}"
+            f" (threshold {signal.threshold:.1f}): <b>{verdict}</b>.</p>"
         )

@@ -22,7 +22,7 @@ from probe_env.envs.pictures.strip import Motion
 from probe_env.fidelity import PRESETS
 
 CHART_PERIOD: Final = 0.4
-"""Least time between two drawings of the charts around the tube [s]: drawing slows the simulation down."""
+"""Least time between two drawings of the charts of a run [s]."""
 OBSERVATIONS: Final = {
     "inserted_length": ("inserted length", 1.0, "m"),
     "remaining_length": ("remaining length", 1.0, "m"),
@@ -50,11 +50,20 @@ class RunScreen(ui.Screen):
         super().__init__(session)
         self.pace = ui.choice(self.paces, pace, lambda: self.send(self.pace_command()))
         self.pause = ui.button("pause", self.toggle, 90)
+        self.stop = ui.button("stop", lambda: self.send(Command("stop")), 90)
+        self.drawn_at = -math.inf  # when the charts were drawn last
 
     def send(self, command: Command) -> None:
         """Send a command to the run."""
         if self.session.run is not None:
             self.session.app.queue.send(self.session.run, command)
+
+    def charts_due(self, run: Run) -> bool:
+        """Whether to draw the charts again, which slows the simulation down."""
+        now = time.monotonic()
+        due = now - self.drawn_at >= CHART_PERIOD or run.state != "running" or run.paused
+        self.drawn_at = now if due else self.drawn_at
+        return due
 
     def pace_command(self) -> Command:
         """The chosen pace."""
@@ -63,6 +72,10 @@ class RunScreen(ui.Screen):
     def toggle(self) -> None:
         """Pause or continue."""
         self.send(Command("go" if self.session.run is not None and self.session.run.paused else "pause"))
+
+    def refresh(self) -> None:
+        """Label the button by what it does."""
+        self.pause.label = "continue" if self.session.run is not None and self.session.run.paused else "pause"
 
 
 class InsertionScreen(RunScreen):
@@ -78,22 +91,38 @@ class InsertionScreen(RunScreen):
         self.signal = signal.line([], [], line_width=1.2, color=ui.GREEN).data_source
         self.status, self.observation = ui.Text(name="run-status"), ui.Text()
         self._motion: Motion | None = None
-        self._drawn_at = -math.inf
         left = ui.column(self.probe.layout, self.slow_motion.layout, signal, self.flaw.layout)
         self.pictures = ui.columns((left, 440, 3), (ui.column(self.charts.layout, self.observation), 330, 2))
         self.pictures.visible = False
+        names = [*NAMES, *shipped_agents(), *shipped_names("schedules")]
+        options = {"options": names, "value": ["best-schedule"], "name": "policies"}
+        self.policies = ui.control(models.MultiChoice, "compare with", None, 330, **options)
+        self.with_schedule = models.Switch(label="my schedule", active=True)
+        self.limit = ui.control(models.Spinner, "tubes", None, 80, low=1, high=SPLIT_SIZES["test"], step=1, value=1)
+        self.fidelity = ui.control(models.Select, "fidelity", None, 130, options=list(PRESETS), value="fast")
+        start = ui.button("Run", self.guarded(self._start), 90, button_type="primary")
+        step = ui.button("step", lambda: self.send(Command("step")), 70)
+        look = ui.button("slow motion", lambda: self.send(Command("look")), 120)
+        self.watch = ui.control(models.Select, "watch", self._watch, 210, options=[])
+        self.table = ui.Text()
+        self._listed: Any = None
+        self.chosen = ui.control(models.Select, "run", None, 300, options=[])
+        resume = ui.button("watch or resume", self.guarded(self._resume), 150)
         self.layout = ui.column(
             ui.Text(INTRO),
-            ui.row(*self._request_controls()),
+            ui.row(self.with_schedule, self.policies, self.limit, self.fidelity, start),
             self.problem,
-            ui.row(*self._run_controls()),
+            ui.row(self.pause, step, look, self.stop, self.pace, self.watch),
             self.status,
             self.pictures,
-            *self._run_list(),
+            ui.Text("<h2>Runs</h2>"),
+            self.table,
+            ui.row(self.chosen, resume),
         )
 
     def refresh(self) -> None:
         """Show the state of the run and the list of runs."""
+        super().refresh()
         run = self.session.run
         nothing = "<p class='quiet'>Nothing has been run yet: press <b>Run</b>.</p>"
         self.status.text = nothing if run is None else _status(run)
@@ -109,67 +138,36 @@ class InsertionScreen(RunScreen):
             self.slow_motion.show(run.motion)
 
     def _show(self, run: Run, frame: Frame) -> None:
-        shape, now = frame.shape, time.monotonic()
-        if shape is not None:
-            self.probe.show(shape)
-        if now - self._drawn_at < CHART_PERIOD and run.state == "running" and not frame.paused:
+        unit, shape = frame.unit, frame.shape
+        if unit is None or shape is None:
             return
-        self._drawn_at = now
-        unit = _watched(run)
-        if shape is not None:
-            self.probe.show_forces(shape)
-            self.signal.data = {"x": shape.signal_time, "y": shape.signal_radial * MM}
-            self.flaw.show(run.info.sensor, shape)
-            self.observation.text = _observation(shape.observation, run, unit)
-        same_tube = {other[0]: run.trace(other) for other in run.traces if unit is not None and other[1:] == unit[1:]}
-        self.charts.show(same_tube, run.info.limit, unit[0] if unit else "")
-
-    def _request_controls(self) -> list[Any]:
-        names = [*NAMES, *shipped_agents(), *shipped_names("schedules")]
-        options = {"options": names, "value": ["best-schedule"], "name": "policies"}
-        self.policies = ui.control(models.MultiChoice, "compare with", None, 330, **options)
-        self.with_schedule = models.Switch(label="my schedule", active=True)
-        self.limit = ui.control(models.Spinner, "tubes", None, 80, low=1, high=SPLIT_SIZES["test"], step=1, value=1)
-        self.fidelity = ui.control(models.Select, "fidelity", None, 130, options=list(PRESETS), value="fast")
-        start = ui.button("Run", self.guarded(self._start), 90, button_type="primary")
-        return [self.with_schedule, self.policies, self.limit, self.fidelity, start]
-
-    def _run_controls(self) -> list[Any]:
-        step = ui.button("step", lambda: self.send(Command("step")), 70)
-        look = ui.button("slow motion", lambda: self.send(Command("look")), 120)
-        stop = ui.button("stop", lambda: self.send(Command("stop")), 70)
-        self.watch = ui.control(models.Select, "watch", self._watch, 210, options=[])
-        return [self.pause, step, look, stop, self.pace, self.watch]
-
-    def _run_list(self) -> list[Any]:
-        self.table, self.notice = ui.Text(), ui.Text()
-        self._listed: Any = None
-        self.chosen = ui.control(models.Select, "run", None, 300, options=[])
-        watch = ui.button("watch", self._watch_chosen, 80)
-        resume = ui.button("resume", self.guarded(self._resume), 90)
-        return [ui.Text("<h2>Runs</h2>"), self.table, ui.row(self.chosen, watch, resume), self.notice]
+        self.probe.show(shape)
+        if not self.charts_due(run):
+            return
+        self.probe.show_forces(shape)
+        self.signal.data = {"x": shape.signal_time, "y": shape.signal_radial * MM}
+        self.flaw.show(run.info.sensor, shape)
+        self.observation.text = _observation(shape.observation, unit, _last(run, unit))
+        same_tube = {other[0]: run.trace(other) for other in run.traces if other[1:] == unit[1:]}
+        self.charts.show(same_tube, run.info.limit, unit[0])
 
     def _start(self) -> None:
-        policies, limit = list(self.policies.value), int(self.limit.value or 1)
-        run = self.session.start(policies, limit, self.fidelity.value, bool(self.with_schedule.active))
-        self.session.app.queue.send(run, self.pace_command())
-        self._show_run(run)
+        options = {"limit": int(self.limit.value or 1), "fidelity": self.fidelity.value}
+        policies, with_schedule = list(self.policies.value), bool(self.with_schedule.active)
+        self._show_run(self.session.start(policies, [self.pace_command()], with_schedule, **options))
 
     def _show_run(self, run: Run) -> None:
         self.session.run = run
         self._motion, self.slow_motion.layout.visible = run.motion, False
-        self._drawn_at = -math.inf
+        self.drawn_at = -math.inf
         self.refresh()
 
     def _list_episodes(self, run: Run) -> None:
         """List the episodes in progress."""
         units = run.frame.units if run.frame and run.state == "running" else ()
         options = [(str(k), f"{unit[0]}, tube {unit[1]}") for k, unit in enumerate(units) if unit is not None]
-        if self.watch.options != options:
-            self.watch.options = options
         if run.frame and options:
-            self.watch.value = str(run.frame.watched)
-        self.pause.label = "continue" if run.paused else "pause"
+            self.watch.update(options=options, value=str(run.frame.watched))
 
     def _watch(self) -> None:
         run = self.session.run
@@ -182,8 +180,8 @@ class InsertionScreen(RunScreen):
         if states == self._listed:
             return
         self._listed = states
-        stored = stored_runs(self.session.app.output)
-        lines = {run.folder.name: ("stored" if run.complete else "interrupted", run.outcome) for run in stored}
+        entries = stored_runs(self.session.app.output)
+        lines = {run.folder.name: ("stored" if run.complete else "interrupted", run.outcome) for run in entries}
         for run in runs:
             name = run.request.output.name
             done = f"{run.done} of {run.info.planned} insertions" if run.info.planned else ""
@@ -191,47 +189,29 @@ class InsertionScreen(RunScreen):
             lines[name] = (run.state, outcome)
         names = sorted(lines, reverse=True)
         rows = ((escape(name), *map(escape, lines[name])) for name in names)
-        table = ui.table_html(("run", "state", "result"), rows, "wide")
-        self.table.text = table if lines else "<p class='quiet'>None yet.</p>"
-        if self.chosen.options != names:
-            self.chosen.options = names
-            self.chosen.value = names[0] if names else ""
-
-    def _chosen_run(self) -> Run | None:
-        runs = [run for run in self.session.app.queue.runs if run.request.output.name == self.chosen.value]
-        return runs[-1] if runs else None
-
-    def _watch_chosen(self) -> None:
-        run = self._chosen_run()
-        self.notice.text = "" if run else "<p>This run is from an earlier start of the app: see <b>Compare</b>.</p>"
-        if run:
-            self._show_run(run)
+        self.table.text = ui.table_html(("run", "state", "result"), rows, "wide")
+        if names and self.chosen.options != names:
+            self.chosen.update(options=names, value=names[0])
 
     def _resume(self) -> None:
-        run = self._chosen_run()
-        if run is not None and run.state in ACTIVE:
-            raise ValueError(f"{self.chosen.value} is already {run.state}")
-        if self.chosen.value:
-            request = read_request(self.session.app.output / str(self.chosen.value))
+        """Watch a run of this process that goes on or is finished, resume another one."""
+        runs = [run for run in self.session.app.queue.runs if run.request.output.name == self.chosen.value]
+        if runs and runs[-1].state in (*ACTIVE, "finished"):
+            self._show_run(runs[-1])
+        elif self.chosen.value:
+            request = read_request(self.session.app.output / self.chosen.value)
             self._show_run(self.session.app.queue.add(request))
 
 
-def _watched(run: Run) -> Unit | None:
-    """The watched episode, or the first one."""
-    frame = run.frame
-    unit = frame.units[frame.watched] if frame and frame.watched < len(frame.units) else None
-    return unit or next(iter(run.traces), None)
-
-
-def _last(run: Run, unit: Unit | None) -> dict[str, float]:
+def _last(run: Run, unit: Unit) -> dict[str, float]:
     """The last period of an episode; empty before the first."""
-    return {} if unit is None else {key: float(values[-1]) for key, values in run.trace(unit).items() if len(values)}
+    return {key: float(values[-1]) for key, values in run.trace(unit).items() if len(values)}
 
 
 def _status(run: Run) -> str:
-    unit, now = _watched(run), ""
-    last = _last(run, unit)
-    if unit and last:
+    """What is watched and how far the run is, as HTML."""
+    unit, now = run.frame.unit if run.frame else None, ""
+    if unit and (last := _last(run, unit)):
         now = (
             f" <b>{escape(unit[0])}, tube {unit[1]}</b>: {last['inserted_length']:.1f} m after {last['time']:.0f} s,"
             f" radial rms {MM * last[RMS]:.3f} mm, reward {last['reward']:.2f}"
@@ -239,13 +219,13 @@ def _status(run: Run) -> str:
     done = f"{run.done} of {run.info.planned} insertions" if run.info.planned else "starting"
     state = f"{escape(', '.join(run.request.names))}: {run.state}{', paused' if run.paused else ''}, {done}.{now}"
     notes = "".join(f"<p class='quiet'>{escape(note)}</p>" for note in run.info.notes)
-    return f"<p class='big' data-state='{run.state}'>{state}</p>{notes}{ui.alert(run.problem)}"
+    attributes = f"class='big' data-run='{run.request.output.name}' data-state='{run.state}'"
+    return f"<p {attributes}>{state}</p>{notes}{ui.alert(run.problem)}"
 
 
-def _observation(observation: dict[str, float], run: Run, unit: Unit | None) -> str:
-    """What the policy observes and requests, as HTML."""
-    last = _last(run, unit)
-    if unit is None or not last:
+def _observation(observation: dict[str, float], unit: Unit, last: dict[str, float]) -> str:
+    """What a policy observes, and what it requested in the last period, as HTML."""
+    if not last:
         return ""
     rows = (
         (label, f"{observation[key] * factor:.4g}", symbol)

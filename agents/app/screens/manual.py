@@ -26,8 +26,6 @@ STATES: Final = {
     "stopped": "<p>Stopped.</p>",
     "waiting": "<p>Waiting for the run before it.</p>",
 }
-CHART_EVERY: Final = 3
-"""Refreshes of a running drive for one drawing of the charts."""
 
 
 class ManualScreen(RunScreen):
@@ -37,41 +35,29 @@ class ManualScreen(RunScreen):
 
     def __init__(self, session: Session) -> None:
         super().__init__(session, pace=2)
-        self._refreshes = 0
-        rivals = [*NAMES, *shipped_agents()]
-        self.rival = ui.control(Select, "against", options=rivals, value="tension-scheduled")
+        self.rival = ui.control(Select, "compare with", options=[*NAMES, *shipped_agents()], value="tension-scheduled")
         start = ui.button("Start", self.guarded(self._start), 90, button_type="primary")
-        stop = ui.button("stop", lambda: self.send(Command("stop")), 90)
-
-        def send() -> None:
-            self.send(self._setting())
-
         feed = {"start": 0.02, "end": 0.4, "step": 0.005, "value": 0.2, "name": "hand-feed"}
         air = {"start": 30.0, "end": 130.0, "step": 1.0, "value": 63.0}
-        self.feed = ui.control(Slider, "feed speed [m/s] (← →)", send, 340, **feed)
-        self.air = ui.control(Slider, "air supply [m³/h] (↓ ↑)", send, 340, **air)
-        counter = {"start": 0, "end": 1_000_000, "step": 1, "value": 0, "visible": False}
-        self.space_bar = ui.control(Slider, "", self.toggle, **counter)
+        self.feed = ui.control(Slider, "feed speed [m/s] (← →)", self._send_setting, 340, **feed)
+        self.air = ui.control(Slider, "air supply [m³/h] (↓ ↑)", self._send_setting, 340, **air)
+        self.space_bar = ui.counter(self.toggle)
         self.score = ui.Text()
         self.probe, self.charts = UnrolledProbe(with_forces=False), LengthCharts((RMS, "reward"), 230)
         self.pictures = ui.columns((self.probe.layout, 380, 1), (self.charts.layout, 380, 1))
         self.pictures.visible = False
         self.layout = ui.column(
             ui.Text(INTRO),
-            ui.row(self.rival, self.pace, start, self.pause, stop),
+            ui.row(self.rival, self.pace, start, self.pause, self.stop),
             ui.row(self.feed, self.air, self.space_bar),
             self.problem,
             self.score,
             self.pictures,
         )
         self.tube_changed()
-        self.refresh()
 
-    def tube_changed(self) -> None:
+    def show_tube(self) -> None:
         """Set the sliders to the ranges of another tube."""
-        self.guarded(self._set_ranges)()
-
-    def _set_ranges(self) -> None:
         config = self.session.place(1).config
         air = [HOUR * value for value in config.air_supply_rates]
         for slider, (low, high) in ((self.feed, config.feed_speeds), (self.air, air)):
@@ -80,6 +66,7 @@ class ManualScreen(RunScreen):
 
     def refresh(self) -> None:
         """Show both insertions."""
+        super().refresh()
         run = self.session.run
         if run is None or not run.request.manual:
             self.score.text = "<p class='quiet'>Press <b>Start</b>.</p>"
@@ -87,20 +74,21 @@ class ManualScreen(RunScreen):
         traces = {unit[0]: run.trace(unit) for unit in run.traces}
         lines = "".join(_score(name, traces.get(name)) for name in run.request.names)
         self.score.text = lines + STATES.get(run.state, "") + ui.alert(run.problem)
-        self.pause.label = "continue" if run.paused else "pause"
         if run.frame is not None and run.frame.shape is not None:
             self.pictures.visible = True
             self.probe.show(run.frame.shape)
-        self._refreshes += 1
-        if self._refreshes % CHART_EVERY == 0 or run.state != "running":
+        if self.charts_due(run):
             self.charts.show(traces, run.info.limit, MANUAL)
 
     def _start(self) -> None:
         run = self.session.run
         if run is not None and run.request.manual and run.state in ACTIVE:
             self.send(Command("stop"))
-        self.session.drive(self.rival.value, [self.pace_command(), self._setting()])
+        self.session.start([self.rival.value], [self.pace_command(), self._setting()], manual=True)
         self.refresh()
+
+    def _send_setting(self) -> None:
+        self.send(self._setting())
 
     def _setting(self) -> Command:
         return Command("hand", (float(self.feed.value), float(self.air.value) / HOUR))
@@ -111,6 +99,6 @@ def _score(name: str, trace: dict[str, Any] | None) -> str:
         return f"<p class='big'>{escape(name)}: settling</p>"
     last = {key: values[-1] for key, values in trace.items()}
     return (
-        f"<p class='big'>{escape(name)}: score <b>{last['reward']:.1f}</b>, {last['inserted_length']:.1f} m,"
-        f" {last['time']:.0f} s, {1e3 * last[RMS]:.3f} mm, {last['tension_mean_n']:.1f} N</p>"
+        f"<p class='big'>{escape(name)}: reward <b>{last['reward']:.1f}</b>, {last['inserted_length']:.1f} m after"
+        f" {last['time']:.0f} s, radial rms {1e3 * last[RMS]:.3f} mm, tension {last['tension_mean_n']:.1f} N</p>"
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from bokeh import models
 from bokeh.document import Document
@@ -23,20 +23,15 @@ FIRST: Final = 1
 TICK: Final = 100
 """Time between two looks at the queue [ms]."""
 PATIENCE: Final = 3.0
-"""Time after which an update counts as drawn, though the browser has not confirmed it [s]."""
-MAX_COUNT: Final = 1_000_000
-DRAWN_JS: Final = "requestAnimationFrame(() => setTimeout(() => { drawn.value = sent.value; }, 0));"
+"""Time after which an update counts as painted, though the browser has not confirmed it [s]."""
+PAINTED_JS: Final = "requestAnimationFrame(() => setTimeout(() => { painted.value = sent.value; }, 0));"
 """Confirms an update after it is painted."""
-WELCOME: Final = (
-    "<p>A cable with floats is blown into a helical tube. Beyond some length it vibrates; you choose the feed speed and"
-    " the air supply. Drag the points of the schedule below, then run it under <b>Insertion</b>, in the study's tubes"
-    " or in your own, which you describe under <b>Tube</b>. <b>Compare</b> shows the result next to other policies;"
-    " under <b>Manual</b> you drive by hand.</p>"
-)
-KEYS_JS: Final = """
-if (window.probe_keys) return;
-window.probe_keys = true;
+READY_JS: Final = """
+if (window.probe_env_is_ready) return;
+window.probe_env_is_ready = true;
 document.documentElement.lang = "en";
+// by default a drag that begins 300 ms after the mouse button was pressed, or on a busy page, counts as a long press
+Bokeh.index.find_one(chart).canvas_view.ui_event_bus.ui_gestures.constructor.press_threshold = 1e9;
 const typed = (event) => event.composedPath().some((e) => ["INPUT", "TEXTAREA", "SELECT"].includes(e.tagName)
                                                          || (e.classList && e.classList.contains("slick-cell")));
 document.addEventListener("keydown", (event) => {
@@ -55,25 +50,29 @@ document.addEventListener("keydown", (event) => {
 
 
 class Page:
-    """One browser page."""
+    """One browser page, with a new session.
 
-    def __init__(self, session: Session) -> None:
-        self.session = session
+    Args:
+        app: what it shares with other pages.
+        tube: tube file, or the name of a shipped one; None: the study's tubes.
+    """
+
+    def __init__(self, app: AppState, tube: Path | str | None = None) -> None:
+        self.session = session = Session(app, run=next(reversed(app.queue.runs), None))
+        if tube is not None:
+            session.tube.open(Path(tube))
         self.schedule, self.insertion = ScheduleScreen(session), InsertionScreen(session)
         self.compare, self.manual = CompareScreen(session), ManualScreen(session)
         self.tube = TubeScreen(session, self._tube_changed)
         self.screens: list[ui.Screen] = [self.tube, self.schedule, self.insertion, self.compare, self.manual]
         self.chosen = ui.choice(TITLES, FIRST, self.turn)
-        close = ui.button("close", lambda: setattr(self.welcome, "visible", False), 70)
-        text = ui.Text(WELCOME, styles={"flex": "1 1 300px"})
-        self.welcome = ui.row(text, close, background="#eef6fb", padding="6px 10px")
-        count: dict[str, Any] = {"start": 0, "end": MAX_COUNT, "step": 1, "value": 0, "visible": False}
-        self.sent, self.drawn = models.Slider(**count), models.Slider(**count)  # numbers of the last updates
-        self.sent.js_on_change("value", models.CustomJS(args={"sent": self.sent, "drawn": self.drawn}, code=DRAWN_JS))
+        self.sent, self.painted = ui.counter(), ui.counter()  # numbers of the last updates
+        numbers = {"sent": self.sent, "painted": self.painted}
+        self.sent.js_on_change("value", models.CustomJS(args=numbers, code=PAINTED_JS))
         self._changes, self._sent_at, self._state = -1, 0.0, ""
         title = ui.Text("<h1>probe-env</h1>", styles={"flex": "0 0 130px"})
         layouts = (screen.layout for screen in self.screens)
-        self.root = ui.column(ui.row(title, self.chosen), self.welcome, *layouts, self.sent, self.drawn)
+        self.root = ui.column(ui.row(title, self.chosen), *layouts, self.sent, self.painted)
         self.root.stylesheets = [models.GlobalInlineStyleSheet(css=ui.PAGE_CSS)]
         self.turn()
 
@@ -81,8 +80,9 @@ class Page:
         """Add the page to a document."""
         document.title, document.theme = "probe-env", ui.THEME
         document.add_root(self.root)
-        sliders = {"feed": self.manual.feed, "air": self.manual.air, "space_bar": self.manual.space_bar}
-        document.js_on_event(DocumentReady, models.CustomJS(args={"screens": self.chosen, **sliders}, code=KEYS_JS))
+        arguments = {"feed": self.manual.feed, "air": self.manual.air, "space_bar": self.manual.space_bar}
+        arguments |= {"screens": self.chosen, "chart": self.schedule.charts[0]}
+        document.js_on_event(DocumentReady, models.CustomJS(args=arguments, code=READY_JS))
         document.add_periodic_callback(self.tick, TICK)
 
     def turn(self) -> None:
@@ -92,22 +92,14 @@ class Page:
         self._changes = -1
 
     def tick(self) -> None:
-        """Show the changes of the queue when the browser has drawn the last update, or when a run begins or ends."""
+        """Show the changes of the queue when the last update has been painted, or when a run begins or ends."""
         changes, state = self.session.app.queue.changes, self.session.run.state if self.session.run else ""
-        drawn = self.drawn.value == self.sent.value or time.monotonic() - self._sent_at > PATIENCE
-        if changes != self._changes and (drawn or state != self._state):
+        painted = self.painted.value == self.sent.value or time.monotonic() - self._sent_at > PATIENCE
+        if changes != self._changes and (painted or state != self._state):
             self._changes, self._sent_at, self._state = changes, time.monotonic(), state
             self.screens[self.chosen.active or 0].refresh()
-            self.sent.value = (int(self.sent.value) + 1) % MAX_COUNT
+            self.sent.value = (int(self.sent.value) + 1) % int(self.sent.end)
 
     def _tube_changed(self) -> None:
         for screen in self.screens:
             screen.tube_changed()
-
-
-def open_page(app: AppState, tube: Path | str | None = None) -> Page:
-    """A page with a new session, with a tube file or the name of a shipped one; None: the study's tubes."""
-    session = Session(app, run=next(reversed(app.queue.runs), None))
-    if tube is not None:
-        session.tube.open(Path(tube))
-    return Page(session)

@@ -28,8 +28,9 @@ if (!window.points_timer) copy();
 """
 """Sends points while they are dragged, at most every 20 ms; Bokeh sends them only when they are dropped."""
 INTRO: Final = (
-    "<h2>Schedule</h2><p class='quiet'>Drag the points, tap to add one, or type into the table. The lowest chart is the"
-    " prediction of the vibration map. Run the schedule under <b>Insertion</b>.</p>"
+    "<h2>Schedule</h2><p class='quiet'>A cable with floats is blown into a helical tube. Beyond some length it"
+    " vibrates. Choose the feed speed and the air supply: drag the points, tap to add one, or type into the table. The"
+    " lowest chart is the prediction of the vibration map. Run the schedule under <b>Insertion</b>.</p>"
 )
 
 
@@ -53,14 +54,21 @@ class ScheduleScreen(ui.Screen):
         vibration.varea("length", "low", "high", source=self.band, color=ui.ORANGE, alpha=0.25)
         vibration.line("length", "middle", source=self.band, color=ui.VERMILLION, line_width=2.5)
         self.show_limit = ui.limit_line(vibration)
-        add = ui.button(
-            "add a point", lambda: self._put(schedules.with_point(self.session.points, self.place.config)), 110
-        )
         remove = ui.button("remove selected", self._remove, 150)
-        charts, table = ui.column(*self.charts, vibration), ui.column(self._table(), ui.row(add, remove))
+        charts, table = ui.column(*self.charts, vibration), ui.column(remove, self._table())
+        opened, save, overlays = (self.guarded(work) for work in (self._open, self._save, self._show_overlays))
+        example = "my.csv, or a name"
+        self.open = ui.control(models.TextInput, "open a schedule", opened, placeholder=example)
+        text = {"value": session.name, "name": "save-schedule"}
+        self.save = ui.control(models.TextInput, "save as", save, 150, **text)
+        choice = {"options": ["linear", "steps"], "value": session.interpolation}
+        self.kind = ui.control(models.Select, "between points", self._interpolated, 135, **choice)
+        choice = {"options": [*schedules.BY_LENGTH, *shipped_names("schedules")], "value": ["constant"]}
+        self.overlay = ui.control(models.MultiChoice, "overlay", overlays, 260, **choice)
+        self.log = ui.control(models.TextInput, "overlay of a log", overlays, placeholder="rig.csv or example-rig")
         self.layout = ui.column(
             ui.Text(INTRO),
-            ui.row(*self._controls()),
+            ui.row(self.open, self.save, self.kind, self.overlay, self.log),
             self.problem,
             self.summary,
             ui.columns((charts, 420, 3), (table, 280, 1)),
@@ -71,18 +79,15 @@ class ScheduleScreen(ui.Screen):
         self.points.on_change("data", lambda attr, old, new: self._moved())
         self.tube_changed()
 
-    def tube_changed(self) -> None:
+    def show_tube(self) -> None:
         """Show ranges, limit and prediction of another tube."""
-        self.guarded(self._show_tube)()
-
-    def _show_tube(self) -> None:
         self.place = self.session.place()
         config = self.place.config
         ranges = (config.feed_speeds, tuple(HOUR * value for value in config.air_supply_rates))
         for plot, key, (low, high) in zip(self.charts, (FEED, AIR), ranges, strict=True):
             plot.y_range.update(start=0.0, end=1.12 * max(high, *self.session.points[key]))
             plot.center[-1].update(bottom=low, top=high)
-        self.length_range.end = config.scene.tube.helix_length * 1.01
+        self.length_range.end = config.scene.tube.helix_length * 1.03
         self.show_limit(config.limit if config.vibration_measure == "displacement" else None)
         self._predict()
         self._show_overlays()
@@ -111,28 +116,15 @@ class ScheduleScreen(ui.Screen):
         options = {"editable": True, "sortable": False, "reorderable": False, "index_position": None}
         return models.DataTable(source=self.points, columns=cells, height=300, sizing_mode="stretch_width", **options)
 
-    def _controls(self) -> list[Any]:
-        opened, save, overlays = (self.guarded(work) for work in (self._open, self._save, self._show_overlays))
-        example = "my.csv, or a name"
-        self.open = ui.control(models.TextInput, "open a schedule", opened, placeholder=example)
-        text = {"value": self.session.name, "name": "save-schedule"}
-        self.save = ui.control(models.TextInput, "save as", save, 150, **text)
-        choice = {"options": ["linear", "steps"], "value": self.session.interpolation}
-        self.kind = ui.control(models.Select, "between points", self._interpolated, 135, **choice)
-        choice = {"options": [*schedules.BY_LENGTH, *shipped_names("schedules")], "value": ["constant"]}
-        self.overlay = ui.control(models.MultiChoice, "overlay", overlays, 260, **choice)
-        self.log = ui.control(models.TextInput, "overlay of a log", overlays, placeholder="rig.csv or example-rig")
-        return [self.open, self.save, self.kind, self.overlay, self.log]
-
     def _moving(self) -> None:
         if not self._busy:
-            self._predict(schedules.tidied(self._columns(self.moving), self.place.config))
+            self._predict(schedules.tidied(self.moving.data, self.place.config))
 
     def _moved(self) -> None:
         """Points have been moved, added or typed."""
         if self._busy:
             return
-        points = self._columns(self.points)
+        points = {name: list(self.points.data[name]) for name in NAMES}
         try:
             if not any(MISSING in values for values in points.values()):
                 order = sorted(range(len(points[LENGTH])), key=lambda k: points[LENGTH][k])
@@ -193,17 +185,17 @@ class ScheduleScreen(ui.Screen):
         }
 
     def _open(self) -> None:
-        given = self.open.value.strip()
-        if not given:
+        name = self.open.value.strip()
+        if not name:
             return
-        if given in schedules.BY_LENGTH:
-            line = schedules.policy_line(given, self.place)
+        if name in schedules.BY_LENGTH:
+            line = schedules.policy_line(name, self.place)
             every = max(len(line.length) // 12, 1)
             length, feed, air = (tuple(map(float, values[::every])) for values in line)
             self.session.points = schedules.points_of(Schedule("inserted_length", "linear", length, feed, air))
-            self.session.name = f"my-{given}"
+            self.session.name = f"my-{name}"
         else:
-            self.session.open_schedule(Path(policy_file(given)))
+            self.session.open_schedule(Path(policy_file(name)))
         self.kind.value, self.save.value = self.session.interpolation, self.session.name
         self._put(self.session.points)
 
@@ -211,6 +203,3 @@ class ScheduleScreen(ui.Screen):
         if self.save.value.strip():
             path = self.session.save_schedule(self.save.value.strip())
             self.summary.text += f"<p>written: <code>{escape(str(path))}</code></p>"
-
-    def _columns(self, source: models.ColumnDataSource) -> Points:
-        return {name: list(source.data[name]) for name in NAMES}

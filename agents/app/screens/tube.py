@@ -19,9 +19,9 @@ from agents.records.shipped import shipped_names
 from probe_env import Plant
 
 TITLES: Final = {"contact": "Walls", "feed": "Feed device"}
-STUDY: Final = "the study's tubes"
+STUDY: Final = "study tubes"
 INTRO: Final = (
-    "<h2>Tube and probe</h2><p class='quiet'>An empty field has the value of the study. Runs, predictions and drawings"
+    "<h2>Tube and probe</h2><p class='quiet'>An empty field has the value of the study. Runs and predictions"
     " are of this tube.</p>"
 )
 
@@ -35,7 +35,6 @@ class TubeScreen(ui.Screen):
         self.summary = ui.Text()
         self.inputs: dict[str, Any] = {}
         self.errors: dict[str, ui.Text] = {}
-        self._draw_helix, helix = _helix_drawing()
         self._draw_section, section = _section_drawing()
         choice = {"options": [STUDY, *shipped_names("tubes")], "value": STUDY}
         self.shipped = ui.control(models.Select, "start with", self.guarded(self._select), 160, **choice)
@@ -49,7 +48,7 @@ class TubeScreen(ui.Screen):
             ui.row(self.shipped, self.open, self.calibration, self.save),
             self.problem,
             self.summary,
-            ui.columns((tables, 430, 3), (ui.column(helix, section), 300, 2)),
+            ui.columns((tables, 430, 3), (section, 300, 2)),
         )
         self.fill()
 
@@ -131,35 +130,14 @@ class TubeScreen(ui.Screen):
     def _draw(self) -> None:
         tube = self.session.tube
         if tube.is_study:
-            self.summary.text = "<p>The study's tubes: the shipped test list, on which nothing was tuned.</p>"
+            text = "The study's tubes: the shipped test list, on which nothing was tuned."
         else:
             source = f"from <code>{escape(str(tube.path))}</code>" if tube.path else "not saved yet"
             changes = ", with unsaved changes" if tube.changed and tube.path else ""
-            self.summary.text = f"<p>Your own tube, {source}{changes}. Uncertain values are drawn for every tube.</p>"
-        self._draw_helix(tube.plant)
+            text = f"Your own tube, {source}{changes}. Uncertain values are drawn for every tube."
+        length, diameter = tube.plant.scene.tube.helix_length, tube.plant.scene.tube.helix_diameter
+        self.summary.text = f"<p>{text} {length:g} m, {length / (np.pi * diameter):.1f} turns of {diameter:g} m.</p>"
         self._draw_section(tube.plant)
-
-
-def _helix_drawing() -> tuple[Callable[[Plant], None], Any]:
-    """The helix from above as a spiral, with the inserted probe; returns how to draw it, and the chart."""
-    plot = ui.chart("east [m]", "north [m]", 300, "reset", match_aspect=True, title="Helix")
-    tube, probe, sensor = (empty_source(("x", "y")) for _ in range(3))
-    plot.line("x", "y", source=tube, color="#c9c9c9", line_width=3)
-    plot.line("x", "y", source=probe, color=ui.BLUE, line_width=1)
-    plot.scatter("x", "y", source=sensor, size=11, color=ui.GREEN, line_color="white")
-
-    def draw(plant: Plant) -> None:
-        scene = plant.scene
-        length, radius = scene.tube.helix_length, 0.5 * scene.tube.helix_diameter
-        probe_ends = np.linspace(0.0, scene.inserted_length, 1200)
-        for source, s in ((tube, np.linspace(0.0, length, 1500)), (probe, probe_ends), (sensor, scene.carrier_length)):
-            along = np.atleast_1d(s)
-            drawn = radius * (1.0 - 0.35 * along / length)  # inwards, so that the turns do not cover each other
-            source.data = {"x": drawn * np.cos(along / radius), "y": drawn * np.sin(along / radius)}
-        turns = length / (2.0 * np.pi * radius)
-        plot.title.text = f"Helix: {length:g} m, {turns:.1f} turns of {2.0 * radius:g} m"
-
-    return draw, plot
 
 
 def _section_drawing() -> tuple[Callable[[Plant], None], Any]:

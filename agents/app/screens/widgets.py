@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable
 from html import escape
 from typing import Any, Final
 
-from bokeh.models import Button, Column, Pane, PrintfTickFormatter, RadioButtonGroup, Row, Span
+from bokeh.models import Button, Column, Pane, PrintfTickFormatter, RadioButtonGroup, Row, Slider, Span
 from bokeh.models.dom import HTML
 from bokeh.plotting import figure
 from bokeh.themes import Theme
@@ -36,6 +36,7 @@ code { background: #f2f2f2; padding: 1px 4px; overflow-wrap: anywhere; }
 """
 CONTROL_CSS: Final = """
 :host { max-width: 100%; font-size: 14px; } .bk-btn-group { flex-wrap: wrap; }
+label { font-size: 13px; }
 .bk-input, .bk-btn { font-size: 15px; min-height: 34px; }
 .bk-btn:focus-visible, .bk-input:focus-visible { outline: 3px solid #0072B2; outline-offset: 1px; }
 """
@@ -87,8 +88,12 @@ class Screen:
     def refresh(self) -> None:
         """Show the changes in the queue of runs."""
 
-    def tube_changed(self) -> None:
+    def show_tube(self) -> None:
         """Show the tube that was opened or changed."""
+
+    def tube_changed(self) -> None:
+        """Show the tube, or what is wrong with it."""
+        self.guarded(self.show_tube)()
 
     def guarded(self, work: Callable[[], None]) -> Callable[[], None]:
         """A callback that shows the errors of user input."""
@@ -129,6 +134,11 @@ def button(label: str, clicked: Callable[[], None], width: int = 100, **options:
     widget = Button(label=label, width=width, **options)
     widget.on_click(clicked)
     return widget
+
+
+def counter(changed: Callable[[], None] | None = None) -> Any:
+    """An invisible number that the browser and the server can increase."""
+    return control(Slider, "", changed, start=0, end=1_000_000, step=1, value=0, visible=False)
 
 
 def choice(labels: Iterable[str], active: int, changed: Callable[[], None]) -> RadioButtonGroup:

@@ -7,21 +7,16 @@ start perturbation of 0.1 micrometre. All runs of one setting share a batch.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from itertools import product
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 from tqdm import tqdm
 
-from agents.records.store import Store
 from agents.studies.claims.cases import PERTURBATION
-from agents.terminal.work import Work, announce
 from probe_env import Scene, SimulatorBatch, StabilityWarning, Window
-from probe_env.physics.methods import METHODS
 from probe_env.physics.simulation.signals import SAMPLE_PERIOD, dominant_frequencies
 
 SETTLE, DURATION = 2.0, 6.0  # [s]
@@ -36,16 +31,25 @@ FEED_SPEED, START, END = 0.2, 5.0, 60.0  # [m/s], [m], [m], of an insertion
 STRETCH = 5.0  # [m] a row of an insertion
 
 
-class _Keyed:
+class Run:
+    """Members of one setting in a batch."""
+
+    members: int
+
     @property
     def key(self) -> dict[str, Any]:
         """All fields but the number of members, as columns."""
         fields = asdict(self)  # type: ignore[call-overload]
         return {COLUMNS.get(name, name): value for name, value in fields.items() if name != "members"}
 
+    @property
+    def last(self) -> tuple[Any, ...]:
+        """Key of its last row in the table."""
+        return (*self.key.values(), self.members - 1)
+
 
 @dataclass(frozen=True)
-class Setting(_Keyed):
+class Setting(Run):
     """One way to simulate table 2's probe at a constant length, and what is changed of the scene itself."""
 
     method: str = "imex"
@@ -68,9 +72,20 @@ class Setting(_Keyed):
             numerics = self.method, self.time_step, self.nodes_per_pitch
             return SimulatorBatch([scene] * count, *numerics, threads=threads, perturbation=PERTURBATION)
 
+    def rows(self) -> list[dict[str, Any]]:
+        """A row a member: its statistics, none where it diverged."""
+        batch = self.batch(self.members)
+        batch.advance(None, None, SETTLE, SAMPLE_PERIOD)
+        window = batch.advance(None, None, DURATION, SAMPLE_PERIOD, keep_samples=True)
+        rows = []
+        for member, diverged in enumerate(window.diverged.tolist()):
+            row = self.key | {"member": member, "diverged": diverged}
+            rows.append(row | ({} if diverged else _statistics(window, member)))
+        return rows
+
 
 @dataclass(frozen=True)
-class Insertion(_Keyed):
+class Insertion(Run):
     """One way to simulate a whole insertion, 5 to 60 m at 0.2 m/s."""
 
     method: str = "imex"
@@ -79,11 +94,28 @@ class Insertion(_Keyed):
     nodes_per_pitch: int = 4
     members: int = 8
 
-    def batch(self) -> SimulatorBatch:
-        """All members at the start of the insertion."""
+    @property
+    def last(self) -> tuple[Any, ...]:
+        """Key of its last row in the table."""
+        return (*super().last, END - STRETCH)
+
+    def rows(self, end: float = END) -> list[dict[str, Any]]:
+        """A row a stretch of length and member.
+
+        Raises:
+            RuntimeError: a probe diverged.
+        """
         scenes = [Scene(carrier_length=START - 2.5, feed_speed=FEED_SPEED)] * self.members
         options = {"growing": True, "time_lapse": self.time_lapse, "perturbation": PERTURBATION}
-        return SimulatorBatch(scenes, self.method, self.time_step, self.nodes_per_pitch, **options)  # type: ignore[arg-type]
+        batch = SimulatorBatch(scenes, self.method, self.time_step, self.nodes_per_pitch, **options)  # type: ignore[arg-type]
+        rows: list[dict[str, Any]] = []
+        for stretch in tqdm(np.arange(START, end, STRETCH), desc=str(self), unit="stretch"):
+            window = batch.advance(None, None, STRETCH / FEED_SPEED / self.time_lapse, SAMPLE_PERIOD, keep_samples=True)
+            if window.diverged.any():
+                raise RuntimeError(f"{self}: {window.diverged.sum()} probes diverged beyond {stretch:g} m")
+            for member in range(self.members):
+                rows.append(self.key | {"member": member, "from_m": float(stretch)} | _statistics(window, member))
+        return rows
 
 
 LENGTHS = (10.0, 30.0, 50.0)  # [m]
@@ -151,77 +183,9 @@ def converged(length: float, stiffness: float, members: int = 8) -> Setting:
 SETTINGS = tuple(dict.fromkeys(_settings()))
 
 
-def run_setting(setting: Setting) -> list[dict[str, Any]]:
-    """A row a member: its statistics, none where it diverged."""
-    batch = setting.batch(setting.members)
-    batch.advance(None, None, SETTLE, SAMPLE_PERIOD)
-    window = batch.advance(None, None, DURATION, SAMPLE_PERIOD, keep_samples=True)
-    rows = []
-    for member in range(setting.members):
-        row: dict[str, Any] = setting.key | {"member": member, "diverged": bool(window.diverged[member])}
-        rows.append(row | ({} if window.diverged[member] else _statistics(window, member)))
-    return rows
-
-
-def run_insertion(insertion: Insertion, end: float = END) -> list[dict[str, Any]]:
-    """A row a stretch of length and member.
-
-    Raises:
-        RuntimeError: a probe diverged.
-    """
-    batch, period = insertion.batch(), STRETCH / FEED_SPEED / insertion.time_lapse
-    rows: list[dict[str, Any]] = []
-    name = f"{insertion.method} {insertion.time_step:g} s, time-lapse {insertion.time_lapse:g}"
-    for stretch in tqdm(np.arange(START, end, STRETCH), desc=name, unit="stretch"):
-        window = batch.advance(None, None, period, SAMPLE_PERIOD, keep_samples=True)
-        if window.diverged.any():
-            raise RuntimeError(f"{name}: {window.diverged.sum()} probes diverged beyond {stretch:g} m")
-        for member in range(insertion.members):
-            index = {"member": member, "from_m": float(stretch)}
-            rows.append(insertion.key | index | _statistics(window, member))
-    return rows
-
-
 def _statistics(window: Window, member: int) -> dict[str, float]:
     """``STATISTICS`` and ``PEAK`` (NaN for one at rest) of one run of a batch; the window must hold the samples."""
     assert window.axial is not None
     peaks = dominant_frequencies(window.axial[:, member], SAMPLE_PERIOD, 1)
     values = {name: float(window.statistics[name][member]) for name in STATISTICS}
     return values | {PEAK: peaks[0] if peaks else float("nan")}
-
-
-def run_ensembles(output: Path, settings: Iterable[Setting] = SETTINGS) -> pd.DataFrame:
-    """All settings that are not stored yet, cheapest first; a row a member in ensembles.csv."""
-    store = Store(output / "ensembles.csv", (*Setting().key, "member"))
-    last = {setting: (*setting.key.values(), setting.members - 1) for setting in settings}
-    missing = sorted((setting for setting in last if not store.has(*last[setting])), key=_work)
-    announce(Work("setting", len(last), lambda: sum(store.has(*key) for key in last.values()), store.path))
-    total = sum(map(_work, missing))
-    with tqdm(total=total, desc="chaos", unit="Gnode-step", unit_scale=1e-9, disable=not missing) as bar:
-        for setting in missing:
-            store.add(*run_setting(setting))
-            bar.update(_work(setting))
-    return store.table
-
-
-def run_insertions(output: Path) -> pd.DataFrame:
-    """All insertions that are not stored yet; a row a stretch of length and member in insertions.csv.
-
-    Raises:
-        RuntimeError: a probe diverged.
-    """
-    store = Store(output / "insertions.csv", (*CONVERGED.key, "member", "from_m"))
-    last = {insertion: (*insertion.key.values(), insertion.members - 1, END - STRETCH) for insertion in INSERTIONS}
-    announce(Work("setting", len(last), lambda: sum(store.has(*key) for key in last.values()), store.path))
-    for insertion, key in last.items():
-        if not store.has(*key):
-            store.add(*run_insertion(insertion))
-    return store.table
-
-
-def _work(setting: Setting) -> float:
-    """Node-steps of all members, weighted by what a method's cost: four lanes as one, without lanes some thirty."""
-    method = METHODS[setting.method]
-    weight = 4.0 / method.width if method.lanes else 30.0
-    nodes = (setting.length + 2.5) / 0.1 * setting.nodes_per_pitch
-    return weight * nodes * (SETTLE + DURATION) / setting.time_step * setting.members

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import astuple, replace
 from pathlib import Path
 from typing import Any
@@ -40,33 +40,33 @@ TIMED_NODES = {"imex": (1, 2, 4, 8, 16), "imex32": (4, 8, 16)}
 TIMED_LENGTHS = (10.0, 30.0, 40.0, 50.0)  # [m]
 LONGEST_TIMED = 1e-4  # [s], time step
 REPEATS = 5
+COST_COLUMNS = ["method", "nodes_per_pitch", "carrier_length_m", "ns_per_node_step"]
 
 
 def run_costs(output: Path) -> None:
     """Processor time of a node-step with full lanes on one thread, the best of ``REPEATS``; stored in costs.csv.
 
-    Columns method, nodes_per_pitch, carrier_length_m, ns_per_node_step. Always measured as a whole, since only ratios
-    within one run of one machine carry over.
+    Always measured as a whole, since only ratios within one run of one machine carry over.
     """
     cells = [(m, nodes, length) for m in METHODS for nodes in TIMED_NODES.get(m, (4,)) for length in TIMED_LENGTHS]
     rows = []
     for method, nodes, length in tqdm(cells, desc="costs", unit="setting"):
         kind = METHODS[method]
         setting = Setting(method, min(kind.usual_step, LONGEST_TIMED), nodes, length)
-        batch, steps, seconds = setting.batch(kind.width, threads=1), 4000 if kind.lanes else 500, []
+        batch, steps, seconds = setting.batch(kind.width, threads=1), 4000 if kind.width > 1 else 500, []
         for _ in range(1 + REPEATS):  # the first warms it up, and brings it in contact
             begin = time.process_time()
             batch.advance(None, None, steps * setting.time_step, steps * setting.time_step)
             seconds.append(time.process_time() - begin)
         node_steps = kind.width * steps * (length + 2.5) / 0.1 * nodes
         rows.append((method, nodes, length, min(seconds[1:]) / node_steps * 1e9))
-    table = pd.DataFrame(rows, columns=["method", "nodes_per_pitch", "carrier_length_m", "ns_per_node_step"])
+    table = pd.DataFrame(rows, columns=COST_COLUMNS)
     write_atomically(output / "costs.csv", table.to_csv(index=False, float_format="%.5g"))
 
 
 def cpu_seconds(costs: pd.DataFrame, settings: pd.DataFrame) -> pd.Series:
     """Processor time [s] of one probe for a simulated second, for rows with the columns of a ``Setting``."""
-    keys = ["method", "nodes_per_pitch", "carrier_length_m"]
+    keys = COST_COLUMNS[:3]
     node_step = settings[keys].merge(costs, how="left", on=keys)["ns_per_node_step"].to_numpy()
     nodes = (settings["carrier_length_m"] + 2.5) / 0.1 * settings["nodes_per_pitch"]
     seconds: pd.Series = nodes / settings["time_step_s"] * node_step * 1e-9
@@ -94,15 +94,8 @@ def study_members(ensemble: pd.DataFrame) -> pd.DataFrame:
     return pd.concat(parts, ignore_index=True)
 
 
-def converged_mesh(setting: Row) -> dict[str, Any]:
-    """The reference for the error of mesh and step together."""
-    return converged(setting["carrier_length_m"], setting["contact_stiffness_n_per_m"]).key
-
-
-def constant_length(
-    members: pd.DataFrame, costs: pd.DataFrame, reference: Callable[[Row], dict[str, Any]] = converged_mesh
-) -> pd.DataFrame:
-    """Errors of every setting that has a reference (the key of another one for its columns).
+def constant_length(members: pd.DataFrame, costs: pd.DataFrame) -> pd.DataFrame:
+    """Errors of mesh and step together, of every setting whose length and stiffness have a converged reference.
 
     Columns: those of ``Setting``, members, diverged (share), cpu_s (for a simulated second), and for every output
     reference, ratio, low, high.
@@ -110,8 +103,9 @@ def constant_length(
     groups = dict(list(members.groupby(KEYS)))
     rows = []
     for key, part in groups.items():
-        setting = dict(zip(KEYS, key, strict=True))
-        base = groups.get(tuple(reference(setting).values()))
+        setting: dict[str, Any] = dict(zip(KEYS, key, strict=True))
+        reference = converged(setting["carrier_length_m"], setting["contact_stiffness_n_per_m"])
+        base = groups.get(tuple(reference.key.values()))
         row: dict[str, Any] = setting | {"members": len(part), "diverged": float(part["diverged"].astype(bool).mean())}
         if base is not None:
             rows.append(row | _compared(part, base))
@@ -208,13 +202,12 @@ def choices(members: pd.DataFrame, costs: pd.DataFrame) -> pd.DataFrame:
     rows = []
     for length in (30.0, 50.0):
         plain = Setting(time_step=ensembles.MODEL_STEP, length=length)
-        chosen = {choice: replace(plain, **change).key for choice, change in ensembles.CHOICES.items()}
-        parts = pd.concat([_rows(members, key) for key in (plain.key, *chosen.values())])
-        table = constant_length(parts, costs, lambda _, key=plain.key: key)  # type: ignore[misc]
-        cost = float(_rows(table, plain.key)["cpu_s"].iloc[0])
-        for choice, key in chosen.items():
-            row = _rows(table, key).iloc[0]
-            rows.append((choice, length, row["cpu_s"] / cost, *row[list(RADIAL)]))
+        settings = [plain, *(replace(plain, **change) for change in ensembles.CHOICES.values())]
+        parts = [_rows(members, setting.key) for setting in settings]
+        cpu = cpu_seconds(costs, pd.DataFrame([setting.key for setting in settings])).to_numpy()
+        for choice, part, cost in zip(ensembles.CHOICES, parts[1:], cpu[1:] / cpu[0], strict=True):
+            compared = _compared(part, parts[0])
+            rows.append((choice, length, cost, *(compared[name] for name in RADIAL)))
     return pd.DataFrame(rows, columns=["choice", "carrier_length_m", "cost", "ratio", "low", "high"])
 
 

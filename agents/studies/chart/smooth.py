@@ -16,20 +16,20 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 from scipy.stats import linregress
-from tqdm import tqdm
 
 from agents.records.store import Store
-from agents.terminal.work import Work, announce
 from probe_env import Scene
 from probe_env.arrays import FloatArray
 from probe_env.physics import closed_forms, methods
 from probe_env.physics.closed_forms.bare_chains import AXIAL, LAPACK, RADIAL, Driven, bent_chain, plain_chain, run_chain
+from probe_env.physics.methods.newmark import Newmark
 from probe_env.physics.model.chain import air_speed, build_chain, sensor_node
 from probe_env.physics.model.state import State, at_rest
 
 LONG = (5e-4, 2e-4, 1e-4, 5e-5, 2e-5, 1e-5, 5e-6)  # [s]
 REFERENCES = (("imex", 1e-7), ("explicit", 1e-7))
 """Methods and steps [s] for the scene without a closed form."""
+COLUMNS = ("scene", "method", "time_step_s", "error", "cpu_s", "sweeps")
 REFERENCE_ROWS = "references"
 """In the column ``method``: the difference of the two references."""
 LAPACK_STEPS = 3
@@ -70,7 +70,7 @@ class Case:
                 target[:-1] = values
         if method == "explicit":
             state.v[:] -= 0.5 * time_step * state.memory
-        if method != LAPACK and methods.METHODS[method].solved_by is None:
+        if method != LAPACK and not isinstance(methods.METHODS[method], Newmark):
             state.memory[:] = 0.0  # not an acceleration there
         return state
 
@@ -156,26 +156,25 @@ def run_smooth(output: Path) -> pd.DataFrame:
 
     The scene without a closed form has a row ``REFERENCE_ROWS``. Rows that smooth.csv has are not run again.
     """
-    store = Store(output / "smooth.csv", ("scene", "method", "time_step_s"))
+    store = Store(output / "smooth.csv", COLUMNS[:3])
     cells = [
         (name, method, dt)
         for name, case in cases().items()
         for method in METHODS
         for dt in case.time_steps[: LAPACK_STEPS if method == LAPACK else None]
     ]
-    missing = [cell for cell in cells if not store.has(*cell)]
-    announce(Work("run", len(cells), lambda: sum(store.has(*cell) for cell in cells), store.path))
     truth: dict[str, FloatArray] = {}
-    for name, method, time_step in tqdm(missing, desc="before chaos", unit="run", disable=not missing):
-        case = cases()[name]
+
+    def rows_of(cell: tuple[str, str, float]) -> list[dict[str, object]]:
+        (name, method, time_step), case = cell, cases()[cell[0]]
         if name not in truth:
             truth[name] = _truth(case, store)
         integrate(case, method, case.time_steps[0])  # compiled and warm
         signal, cpu, sweeps = integrate(case, method, time_step)
         error = float("nan") if signal is None else _difference(signal, truth[name])
-        row = {"scene": name, "method": method, "time_step_s": time_step, "error": error}
-        store.add(row | {"cpu_s": cpu, "sweeps": sweeps})
-    return store.table
+        return [dict(zip(COLUMNS, (name, method, time_step, error, cpu, sweeps), strict=True))]
+
+    return store.fill({cell: cell for cell in cells}, rows_of)
 
 
 def _truth(case: Case, store: Store) -> FloatArray:

@@ -1,37 +1,52 @@
-"""The claims of the published study, tested on ensembles of its cases."""
+"""The claims of the published study next to what the simulator gives: comparisons of ensembles of its cases."""
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
+from typing import Final, NamedTuple
 
 import matplotlib.pyplot as plt
+import numpy as np
 import pandas as pd
+from scipy.stats import mannwhitneyu
 
 from agents.records.atomic import write_atomically
 from agents.records.drawing import BLUE, GRID, MM, save
 from agents.records.manifest import write_manifest
-from agents.records.shipped import shipped_folder
-from agents.studies.claims.cases import DURATION, SUBSET, run_cases
-from agents.studies.claims.claims import GROWTH, RADIAL, Ensemble, claims_of
-from agents.studies.tables import print_frame
+from agents.studies.builtin import Request, print_frame
+from agents.studies.claims import cases
+from agents.studies.claims.cases import PROBES, SUBSET, TRIPS, USUAL_FRICTION, insertion_of, run_cases, trip
+from probe_env.arrays import FloatArray
+
+SIGNIFICANCE: Final = 0.05
+YES, NO, UNCLEAR = "yes", "no", "not clearly"
+RADIAL, ACCELERATION = "radial_rms_m", "radial_acceleration_rms_m_per_s2"
+GROWTH: Final = (10, 20, 30, 40, 50, 55)
+"""[m] carrier lengths of the study's figure 11 and 12."""
+NOTICEABLE: Final = 0.1
+"""Share of the insertion's highest peak from which one of the return is noticeable: a tenth, -20 dB."""
+LEAST_PEAK: Final = 1e-6
+"""Amplitude [m] from which a peak is noticeable at all: a hundredth of the vibration limit."""
+TUBE_BORE: Final = 24.2e-3  # [m]
+
+Test = Callable[[FloatArray, FloatArray], str]
 
 
-def run_claims(
-    output: Path, members: int = 1, duration: float = DURATION, subset: bool = False, jobs: int = 2
-) -> pd.DataFrame:
+def run(request: Request) -> pd.DataFrame:
     """Run what is not stored yet of the study's cases; writes ensemble.csv, claims.csv (``claims_of``) and growth.png.
 
-    Args:
-        output: folder; stored runs are not repeated.
-        members: perturbed runs a case.
-        duration: simulated time of a run [s].
-        subset: a few cases instead of all.
-        jobs: runs at the same time.
+    ``trials`` are perturbed runs of a case; with any ``limit`` a few cases instead of all.
 
     Returns:
         the table of claims.
     """
-    table = run_cases(shipped_folder("scenes"), output, members, duration, SUBSET if subset else (), jobs)
+    request.without("tube")
+    members, output, duration = request.budget("trials", 1, 1000), request.output, cases.DURATION
+    names = () if request.limit is None else SUBSET
+    table = run_cases(output, members, names, request.workers.jobs)
     claims = claims_of(table)
     write_atomically(output / "claims.csv", claims.to_csv(index=False, float_format="%.4g"))
     files = ("ensemble.csv", "claims.csv")
@@ -43,6 +58,168 @@ def run_claims(
         draw_growth(table, output / "growth.png")
     print(f"written: {output}/ (ensemble.csv, claims.csv{', growth.png' if complete else ''})")
     return claims
+
+
+class Ensemble:
+    """Access to the members of an ensemble table by case and statistic; ``diverged`` is 0 or 1."""
+
+    def __init__(self, table: pd.DataFrame) -> None:
+        self.table = table.assign(diverged=table["diverged_at_s"].notna())
+
+    def has(self, *cases: str) -> bool:
+        """Whether every case has at least one member."""
+        return set(cases) <= set(self.table["case"])
+
+    def values(self, case: str, statistic: str) -> FloatArray:
+        """One statistic of all members of a case, diverged ones as NaN."""
+        values: FloatArray = self.table.loc[self.table["case"] == case, statistic].to_numpy(dtype=float)
+        return values
+
+    def mean(self, case: str, statistic: str = RADIAL) -> float:
+        """Mean over the members."""
+        return float(np.mean(self.values(case, statistic)))
+
+
+def greater(a: FloatArray, b: FloatArray) -> bool:
+    """Whether ``a`` lies above ``b``: one-sided Mann-Whitney test, or the means if there are fewer than four values."""
+    if min(len(a), len(b)) < 4:
+        return bool(a.mean() > b.mean())
+    return bool(mannwhitneyu(a, b, alternative="greater").pvalue < SIGNIFICANCE)
+
+
+def less(a: FloatArray, b: FloatArray, opposite: str = NO) -> str:
+    """Whether ``a`` is less than ``b``; no if a member of either diverged."""
+    if not (np.isfinite(a).all() and np.isfinite(b).all()):
+        return NO
+    return YES if greater(b, a) else opposite if greater(a, b) else UNCLEAR
+
+
+def _more(a: FloatArray, b: FloatArray) -> str:
+    return less(b, a)
+
+
+def same(a: FloatArray, b: FloatArray) -> str:
+    """Whether neither lies above the other."""
+    return NO if greater(a, b) or greater(b, a) else YES
+
+
+def near(a: FloatArray, b: FloatArray, tolerance: float) -> str:
+    """Whether the ratio of the means is 1 within a tolerance."""
+    return YES if abs(float(a.mean() / b.mean()) - 1.0) <= tolerance else NO
+
+
+def below(a: FloatArray, b: FloatArray, share: float = 1.0) -> str:
+    """Whether the largest of ``a`` is at most a share of the mean of ``b``."""
+    return YES if a.max() <= share * b.mean() else NO
+
+
+def divided(a: FloatArray, b: FloatArray, factor: float) -> str:
+    """Whether the mean of ``b`` is at least so many times that of ``a``."""
+    return YES if b.mean() >= factor * a.mean() else NO
+
+
+def always(a: FloatArray, _: FloatArray) -> str:
+    """Whether ``a`` is 1 for every member."""
+    return YES if a.all() else NO
+
+
+class Claim(NamedTuple):
+    """One row of the table: a case's statistic against that of another case or a number, and the verdict's test."""
+
+    claim: str
+    figure: str
+    case: str
+    reference: str | float
+    statistic: str
+    test: Test
+
+
+def _sharpest(e: Ensemble) -> Test:
+    means = [e.mean(f"l{length}") for length in GROWTH]
+    ratios = [long / short for short, long in itertools.pairwise(means)]
+    return lambda *_: ("yes", "earlier", "later")[int(np.sign(2 - np.argmax(ratios)))]
+
+
+def _one_peak(e: Ensemble) -> Test:
+    common, axial = (float(np.median(e.values("l55", f"{name}_peak_hz"))) for name in ("common", "axial"))
+    return lambda *_: YES if abs(common - 14.0) <= 2.0 and abs(axial - common) <= 1.0 else NO
+
+
+def _insertion(e: Ensemble) -> Iterator[Claim]:
+    """The claims on the probe fed in."""
+    for short, long in ((10, 30), (20, 40), (30, 50)):
+        yield Claim("vibration grows with length", "11", f"l{long}", f"l{short}", RADIAL, _more)
+    if e.has(*(f"l{length}" for length in GROWTH)):
+        yield Claim("it rises sharply between 30 and 40 m", "11", "l40", "l30", RADIAL, _sharpest(e))
+    yield Claim("no vibration without feed", "15", "u0", "l50", RADIAL, partial(below, share=0.01))
+    yield Claim("less at 0.1 m/s", "16", "u100", "l50", RADIAL, less)
+    yield Claim("more at 0.4 m/s", "16", "u400", "l50", RADIAL, _more)
+    yield Claim("less in a helix of 2.5 m", "17", "dh2500", "l50", RADIAL, less)
+    displacement = partial(less, opposite=UNCLEAR)
+    yield Claim("less at 40 m3/h: displacement", "18", "q40", "l50", RADIAL, displacement)
+    yield Claim("less at 40 m3/h: acceleration, as measured in the experiment", "18", "q40", "l50", ACCELERATION, less)
+    if e.has("l55"):
+        for statistic in ("common_peak_hz", "axial_peak_hz"):
+            yield Claim("one axial and radial peak at 14 Hz, l = 55 m", "14", "l55", 14.0, statistic, _one_peak(e))
+    yield Claim(
+        "the improved probe is nearly silent, l = 50 m", "20", "improved", "l50", RADIAL, partial(divided, factor=5.0)
+    )
+    yield Claim("Wilson and Newmark agree", "-", "l10-wilson", "l10", "axial_mean_m", partial(near, tolerance=0.01))
+    yield Claim("Wilson and Newmark agree", "-", "l50-wilson", "l50", RADIAL, same)
+    for case in ("l50-dt2e-4", "l50-dt5e-4"):
+        yield Claim("diverges above a step of 1e-4 s", "-", case, "l50", "diverged", always)
+    touched = partial(divided, factor=1.0)
+    yield Claim("only the inner wall is touched", "5", "l50-inner", TUBE_BORE, "tip_radial_max_m", touched)
+
+
+def _return(e: Ensemble) -> Iterator[Claim]:
+    """The study's experiment (e): the probe withdrawn, against the insertion under the same settings."""
+    withdrawals = [case for case in TRIPS if case.withdrawn and e.has(case.name, insertion_of(case.name))]
+    for case in withdrawals:
+        yield Claim("less vibration in the return", "(e)", case.name, insertion_of(case.name), RADIAL, less)
+    usual = [case for case in withdrawals if case.friction == USUAL_FRICTION]
+    for probe, direction in itertools.product(PROBES, ("radial", "axial")):
+        chosen = [case.name for case in usual if case.scene == PROBES[probe]]
+        if chosen:
+            statistic = f"{direction}_highest_m"
+            highest = max(chosen, key=lambda name, key=statistic: e.mean(name, key))  # type: ignore[misc]
+            claim = f"no noticeable {direction} peak in the return from 2 s on: {probe}"
+            test = _unnoticed(e, chosen, statistic)
+            yield Claim(claim, "(e)", highest, insertion_of(highest), statistic, test)
+    for withdrawn, direction in ((False, "insertion"), (True, "return")):
+        old, new = (trip(probe, 50, withdrawn=withdrawn).name for probe in PROBES)
+        claim = f"the improved probe vibrates less in the {direction}: 50 m, 0.2 m/s"
+        yield Claim(claim, "(e)", new, old, RADIAL, less)
+
+
+def _unnoticed(e: Ensemble, withdrawals: list[str], statistic: str) -> Test:
+    peaks = np.array([e.mean(name, statistic) for name in withdrawals])
+    shares = peaks / [e.mean(insertion_of(name), statistic) for name in withdrawals]
+    noticed = ((shares >= NOTICEABLE) & (peaks >= LEAST_PEAK)).any()
+    return lambda *_: UNCLEAR if noticed else YES
+
+
+def claims_of(table: pd.DataFrame) -> pd.DataFrame:
+    """Every claim that the cases in an ensemble table can answer.
+
+    Columns claim, figure, statistic, case, mean, least, greatest (of its members), reference, reference_mean, ratio
+    and holds ("yes", "no", "not clearly", or where else).
+    """
+    e = Ensemble(table)
+    rows = []
+    for claim in (*_insertion(e), *_return(e)):
+        cases = [case for case in (claim.case, claim.reference) if isinstance(case, str)]
+        if e.has(*cases):
+            values = e.values(claim.case, claim.statistic)
+            number = isinstance(claim.reference, float)
+            reference = np.array([claim.reference]) if number else e.values(str(claim.reference), claim.statistic)
+            base = float(reference.mean())
+            row = claim._asdict() | {"mean": values.mean(), "least": values.min(), "greatest": values.max()}
+            row |= {"reference": "-" if number else claim.reference, "reference_mean": base}
+            row |= {"ratio": values.mean() / base if base else float("nan"), "holds": claim.test(values, reference)}
+            rows.append(row)
+    columns = ["claim", "figure", "statistic", "case", "mean", "least", "greatest"]
+    return pd.DataFrame(rows, columns=[*columns, "reference", "reference_mean", "ratio", "holds"])
 
 
 def draw_growth(table: pd.DataFrame, path: Path) -> None:

@@ -15,12 +15,10 @@ from typing import Final
 
 import numpy as np
 import pandas as pd
-from joblib import Parallel, delayed
 from scipy.signal import welch
-from tqdm import tqdm
 
+from agents.records.shipped import file_or_shipped
 from agents.records.store import Store, stored_rows
-from agents.terminal.work import Work, announce
 from probe_env import Scene, SimulationError, Simulator, StabilityWarning
 from probe_env.arrays import FloatArray
 from probe_env.physics.simulation.signals import LOWEST_FREQUENCY, point_statistics
@@ -63,9 +61,9 @@ class Case:
         """Whether nothing is changed of the scene but what method and step do."""
         return self == Case(self.name, self.scene, self.method, self.time_step)
 
-    def load_scene(self, folder: Path) -> Scene:
-        """The scene to simulate, from its file in the folder."""
-        base = Scene.from_toml(folder / f"{self.scene}.toml")
+    def load_scene(self) -> Scene:
+        """The scene to simulate."""
+        base = Scene.from_toml(file_or_shipped("scenes", self.scene))
         sign, couple = (-1.0, "tangent") if self.withdrawn else (1.0, "frame")
         feed = base.feed_speed if self.feed_speed is None else self.feed_speed
         changes = {"feed_speed": sign * feed, "air_supply_rate": sign * base.air_supply_rate, "couple": couple}
@@ -135,13 +133,13 @@ CASES: Final = (*INSERTED, *TRIPS)
 SUBSET: Final = ("l10", "l30", "l50", "u0", "improved", "original-l10-u200-back", "original-l10-u200-in")
 
 
-def run_case(case: Case, scenes: Path, member: int, duration: float) -> dict[str, object]:
+def run_case(case: Case, member: int, duration: float) -> dict[str, object]:
     """One member of a case as a row: statistics of the sensor, tip and root, or the time it diverged."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", StabilityWarning)  # cases beyond the limit are there on purpose
         start, nudge = "outer" if case.withdrawn else "inner", PERTURBATION if member else 0.0
         options = {"perturbation": nudge, "seed": member, "start": start}
-        simulator = Simulator(case.load_scene(scenes), case.method, case.time_step, **options)  # type: ignore[arg-type]
+        simulator = Simulator(case.load_scene(), case.method, case.time_step, **options)  # type: ignore[arg-type]
     row: dict[str, object] = {"case": case.name, "member": member, "duration_s": duration, "diverged_at_s": np.nan}
     skipped = round(0.25 * duration, 2) if case.skips_start else 0.0
     try:
@@ -174,33 +172,25 @@ def highest_peak(signal: FloatArray, sample_period: float) -> tuple[float, float
     return peak, float(np.sqrt(2.0 * density[near].sum() * frequency[1]))
 
 
-def run_cases(
-    scenes: Path, output: Path, members: int, duration: float, names: tuple[str, ...] = (), jobs: int = 2
-) -> pd.DataFrame:
-    """Members of the named cases (default: all) of a duration [s], stored in ensemble.csv as they finish.
+def run_cases(output: Path, members: int, names: tuple[str, ...] = (), jobs: int = 2) -> pd.DataFrame:
+    """Members of the named cases (default: all) of ``DURATION``, stored in ensemble.csv as they finish.
 
     Rows that the file has, of the same duration, are not run again; ``jobs`` threads run at the same time.
     """
     store = Store(output / "ensemble.csv", KEYS)
     cases = [case for case in CASES if not names or case.name in names]
-    runs = {(case.name, member, duration): (case, member) for member in range(members) for case in cases}
-    missing = [run for key, run in runs.items() if not store.has(*key)]
-    announce(Work("run", len(runs), lambda: sum(store.has(*key) for key in runs), store.path))
-    parallel = Parallel(n_jobs=jobs, prefer="threads", return_as="generator_unordered")
-    work = parallel(delayed(run_case)(case, scenes, member, duration) for case, member in missing)
-    for row in tqdm(work, total=len(missing), desc="study", unit="run", disable=not missing):
-        store.add(row)
-    requested = [key in runs for key in store.table[list(KEYS)].itertuples(index=False, name=None)]
-    return _in_order(store.table[np.array(requested, dtype=bool)])
+    runs = {(case.name, member, DURATION): (case, member) for member in range(members) for case in cases}
+    table = store.fill(runs, lambda run: [run_case(*run, DURATION)], jobs=jobs)
+    return _in_order(table[[key in runs for key in table[list(KEYS)].itertuples(index=False, name=None)]])
 
 
-def load_rows(folder: Path, duration: float = DURATION) -> pd.DataFrame:
-    """Stored rows of a duration [s]; none if there is no file."""
+def load_rows(folder: Path) -> pd.DataFrame:
+    """Stored rows of ``DURATION``; none if there is no file."""
     path = folder / "ensemble.csv"
     if not path.exists():
         return pd.DataFrame()
     table = stored_rows(path)
-    return _in_order(table[table["duration_s"] == duration])
+    return _in_order(table[table["duration_s"] == DURATION])
 
 
 def _in_order(table: pd.DataFrame) -> pd.DataFrame:

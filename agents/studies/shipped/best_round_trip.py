@@ -21,18 +21,18 @@ from agents.evaluation.plan import Plan, run_plan
 from agents.evaluation.statistics import a90_95, paired_difference
 from agents.evaluation.workers import Workers
 from agents.plant.recommendation import safe_air
+from agents.policies.cases import EvaluationCase, load_case
 from agents.policies.fixed import STUDY_AIR, Scheduled
-from agents.policies.lookup import FIRST
-from agents.policies.places import Place, load_case
+from agents.policies.on_map import FIRST
 from agents.policies.policy import Policy
-from agents.policies.wrappers import BothWays, fidelity_of, way_in
+from agents.policies.wrappers import BothWays, way_in
 from agents.records.atomic import write_atomically
 from agents.records.manifest import origin, write_json
-from agents.studies.builtin import Request
-from agents.studies.tables import print_frame
+from agents.studies.builtin import Request, print_frame
 from probe_env import Context
 from probe_env.envs.contexts import SPLIT_SIZES
 from probe_env.envs.task import TaskConfig
+from probe_env.fidelity import resolve_fidelity
 from probe_env.schedule import AIR, BACK, CSV_COMMENT, FEED, FORTH, Schedule
 
 FIDELITY: Final = "fast"
@@ -109,7 +109,7 @@ def run(request: Request) -> Numbers:
     trials, limit = request.budget("trials", TRIALS), request.budget("limit", LIMIT, SPLIT_SIZES["train"])
     train = load_case(request.tube, "train", limit, "both")
     unseen = load_case(request.tube, "validation", 0, "both")
-    config, output, played = train.config.all_shown, request.output, request.output / "simulated"
+    config, output, played = train.config.full_observation, request.output, request.output / "simulated"
     space = ranges(config, load_case(request.tube, "train", 0, "both").contexts)
     print(f"{trials} trials of {limit} inspections each, kept in {played}; what is there is not played again")
     tried, commits = _tried(trials, space, train, played, request.workers)
@@ -133,9 +133,11 @@ def run(request: Request) -> Numbers:
     return best
 
 
-def _tried(trials: int, space: Space, place: Place, played: Path, workers: Workers) -> tuple[pd.DataFrame, list[str]]:
+def _tried(
+    trials: int, space: Space, place: EvaluationCase, played: Path, workers: Workers
+) -> tuple[pd.DataFrame, list[str]]:
     """A row a trial: its numbers and what came of it, means over the tubes; and the commits that played them."""
-    config, rows, commits = place.config.all_shown, [], []
+    config, rows, commits = place.config.full_observation, [], []
     optuna.logging.set_verbosity(optuna.logging.ERROR)  # no greenlet: slower, the same
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
@@ -159,5 +161,6 @@ def _tried(trials: int, space: Space, place: Place, played: Path, workers: Worke
     return pd.DataFrame(rows), commits
 
 
-def _plan(policies: Mapping[str, Policy], place: Place) -> Plan:
-    return Plan(policies, place.contexts, config=place.config.all_shown, fidelity=fidelity_of(FIDELITY))
+def _plan(policies: Mapping[str, Policy], place: EvaluationCase) -> Plan:
+    fidelity = resolve_fidelity(FIDELITY, both_ways=True)
+    return Plan(policies, place.contexts, config=place.config.full_observation, fidelity=fidelity)

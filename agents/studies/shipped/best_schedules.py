@@ -12,9 +12,9 @@ from cmaes import CMA
 from tqdm import tqdm
 
 from agents.evaluation.plan import Plan, run_plan, stored_episodes
+from agents.policies.cases import case_of, map_of, plant_at
 from agents.policies.fixed import Scheduled
-from agents.policies.lookup import FIRST, least_air
-from agents.policies.places import map_of, place_of, plant_at
+from agents.policies.on_map import FIRST, least_air
 from agents.records.atomic import write_atomically
 from agents.records.manifest import commit, origin, write_json
 from agents.studies.builtin import Request
@@ -23,12 +23,13 @@ from probe_env.arrays import FloatArray
 from probe_env.envs.contexts import HELIX_DIAMETERS
 from probe_env.envs.task import TaskConfig, metre_reward, value_at
 from probe_env.envs.vibration_map import CONTEXT, VibrationMap, check_measure, expected_cost, feeds, stored_map
-from probe_env.fidelity import PRESETS
+from probe_env.fidelity import resolve_fidelity
 from probe_env.schedule import Schedule
 
 KNOTS: Final = (5.0, 12.0, 19.0, 26.0, 33.0, 42.0, 60.0)  # [m] inserted length
 AIR_KNOTS: Final = (5.0, 19.0, 26.0, 33.0, 60.0)
-POPULATION: Final = 16
+POPULATION, SPREAD = 16, 0.2
+"""Of a search: points of a generation, and their first standard deviation as a share of the ranges."""
 TRIALS: Final = 1200
 """Schedules tried in a search."""
 
@@ -88,7 +89,7 @@ class MapCost:
     def reward(self, schedule: Schedule) -> float:
         """Mean reward of a whole insertion; what is not in the map (jerk, lost drive) is left out."""
         feed, air = schedule.at(self.lengths)
-        predicted = self.vibration.tells(self.lengths, feed, air, self.tubes, self.config.scene)
+        predicted = self.vibration.predict(self.lengths, feed, air, self.tubes, self.config.scene)
         cost = expected_cost(*predicted, feed, air, self.config)
         return float(self.count * metre_reward(self.config, cost.mean()))
 
@@ -119,17 +120,22 @@ def run(request: Request) -> None:
 def run_search(name: str, trials: int, request: Request, vibration: VibrationMap, plant: Plant | None) -> Schedule:
     """Search a family; writes NAME.csv (the schedule), NAME-trials.csv and NAME.json; raises as ``run``."""
     family, output = FAMILIES[name], request.output
-    train, validation = (place_of(plant, split) for split in ("train", "validation"))
+    train, validation = (case_of(plant, split) for split in ("train", "validation"))
     config, tubes = train.config, family.tubes(validation.contexts)
     check_measure(vibration, config)
 
     def plan_of(schedule: Schedule) -> Plan:
-        return Plan({name: Scheduled(config, schedule)}, tubes, config=config, fidelity=PRESETS["fast"])
+        fast = resolve_fidelity("fast", config.scene)
+        return Plan({name: Scheduled(config, schedule)}, tubes, config=config, fidelity=fast)
 
     stored_episodes(plan_of(family.schedule(list(family.start), config)), output / "simulated" / name)
     training = family.tubes(train.contexts)
     cost = MapCost(training, config, vibration)
-    points, rewards = search(lambda x: cost.reward(family.schedule(x, config)), family.start, trials, name)
+
+    def rewards_of(points: FloatArray) -> list[float]:
+        return [cost.reward(family.schedule(point.tolist(), config)) for point in points]
+
+    points, rewards, _ = search(rewards_of, family.start, -(-trials // POPULATION), name)
     best = family.schedule(points[int(rewards.argmax())].tolist(), config)
     table = pd.DataFrame(points, columns=[f"x{k}" for k in range(len(family.start))]).assign(reward=rewards)
     simulated = run_plan(plan_of(best), output / "simulated" / name, workers=request.workers)
@@ -144,23 +150,32 @@ def run_search(name: str, trials: int, request: Request, vibration: VibrationMap
 
 
 def search(
-    reward: Callable[[list[float]], float], start: Sequence[float], trials: int, name: str
-) -> tuple[FloatArray, FloatArray]:
-    """Points tried (n, d) of the unit cube and their rewards (n,) by CMA-ES; fewer trials once it has converged.
+    rewards_of: Callable[[FloatArray], Sequence[float]], start: Sequence[float] | FloatArray, generations: int,
+    name: str, spread: float = SPREAD, population: int = POPULATION,
+) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
+    """CMA-ES in the unit cube: points tried (n, d), their rewards (n,) and where the search ended (d,).
 
-    A generation is tried to its end or not at all, so a longer search begins as a shorter one.
+    A generation is tried to its end or not at all, so a longer search begins as a shorter one; fewer generations once
+    it has converged.
+
+    Args:
+        rewards_of: rewards (population,) of the points (population, d) of a generation.
+        start: of the search (d,).
+        generations: at most.
+        name: shown with the progress.
+        spread: first standard deviation of the points.
+        population: points of a generation.
     """
-    optimizer = CMA(
-        np.array(start), sigma=0.2, bounds=np.array([[0.0, 1.0]] * len(start)), seed=0, population_size=POPULATION
-    )
+    bounds = np.tile([0.0, 1.0], (len(start), 1))
+    optimizer = CMA(np.array(start), sigma=spread, bounds=bounds, seed=0, population_size=population)
     points: list[FloatArray] = []
     rewards: list[float] = []
-    with tqdm(total=trials, desc=name, unit="trial") as bar:
-        while len(points) < trials and not optimizer.should_stop():
-            generation = [optimizer.ask() for _ in range(POPULATION)]
-            gained = [reward(point.tolist()) for point in generation]
-            optimizer.tell([(point, -value) for point, value in zip(generation, gained, strict=True)])
-            points += generation
-            rewards += gained
-            bar.update(POPULATION)
-    return np.array(points), np.array(rewards)
+    for _ in tqdm(range(generations), desc=name, unit="generation"):
+        if optimizer.should_stop():
+            break
+        generation = np.array([optimizer.ask() for _ in range(population)])
+        gained = rewards_of(generation)
+        optimizer.tell([(point, -value) for point, value in zip(generation, gained, strict=True)])
+        points += [*generation]
+        rewards += gained
+    return np.array(points), np.array(rewards), optimizer.mean

@@ -5,30 +5,28 @@ The part on the map takes minutes and is the same each time, so an interrupted o
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from itertools import product
 from typing import Any, Final
 
 import numpy as np
 import pandas as pd
-from cmaes import CMA
-from tqdm import tqdm
 
 from agents.evaluation.plan import Plan, run_plan
 from agents.evaluation.statistics import paired_difference
+from agents.policies.cases import case_of
 from agents.policies.fixed import FixedPolicy
-from agents.policies.places import place_of
 from agents.policies.plc_law import Constants, PlcLaw, Trim, TrimmedLaw
 from agents.policies.policy import Policy
 from agents.records.atomic import write_atomically
 from agents.records.manifest import commit, origin, write_json
-from agents.studies.builtin import Request
-from agents.studies.tables import print_frame
+from agents.studies.builtin import Request, print_frame
+from agents.studies.shipped.best_schedules import search
 from probe_env import Context
 from probe_env.arrays import FloatArray
 from probe_env.envs.contexts import SPLIT_SIZES
-from probe_env.envs.task import metre_reward
-from probe_env.envs.task.observations import RF_FLOOR
+from probe_env.envs.task import metre_reward, uninspected_weight
+from probe_env.envs.task.scales import RF_FLOOR
 from probe_env.envs.vibration_map import CONTEXT, VibrationMap, expected_cost, stored_map
 from probe_env.fidelity import resolve_fidelity
 from probe_env.physics.closed_forms import sliding_tension
@@ -75,7 +73,7 @@ def point_of(constants: Constants) -> FloatArray:
 
 
 def run(request: Request) -> None:
-    """Search the ten constants of plc-law, then the two of trimmed-law; store and print.
+    """Search the ten constants of plc-proportional, then the two of plc-integral; store and print.
 
     Writes plc-law.json, trimmed-law.json and every trial; what was simulated is kept and not played again. ``trials``
     are laws tried on the map, ``limit`` training tubes that are simulated, the first, which are balanced.
@@ -92,23 +90,23 @@ def run(request: Request) -> None:
 
 
 def search_law(trials: int, generations: int, limit: int, request: Request) -> Constants:
-    """The constants of plc-law: on the map, then ``generations`` of ``POPULATION`` laws in simulation."""
+    """The constants of plc-proportional: on the map, then ``generations`` of ``POPULATION`` laws in simulation."""
     vibration, output = stored_map(), request.output
-    whole, place = place_of(None, "train", 0, vibration), place_of(None, "train", limit, vibration)
-    config = whole.config.all_shown
+    whole, place = case_of(None, "train", 0, vibration), case_of(None, "train", limit, vibration)
+    config = whole.config.full_observation
     rows: list[dict[str, Any]] = []
     commits, done = [commit()], 0  # of the laws tried on the map, which are tried anew each time
 
-    def by_map(laws: list[Constants]) -> list[float]:
-        by_law = [quasi_steady_rewards(PlcLaw(config, law), whole.contexts, vibration) for law in laws]
-        return [float(rewards.mean()) for rewards in by_law]
+    def by_map(points: FloatArray) -> list[float]:
+        laws = [PlcLaw(config, constants_at(point)) for point in points]
+        return [float(quasi_steady_rewards(law, whole.contexts, vibration).mean()) for law in laws]
 
-    def simulated(laws: list[Constants]) -> list[float]:
+    def simulated(points: FloatArray) -> list[float]:
         nonlocal done
-        policies = {f"law-{done + k}": PlcLaw(place.config.all_shown, law) for k, law in enumerate(laws)}
-        plan = Plan(policies, place.contexts, config=place.config.all_shown, fidelity=resolve_fidelity("fast"))
+        policies = {f"law-{done + k}": PlcLaw(config, constants_at(point)) for k, point in enumerate(points)}
+        plan = Plan(policies, place.contexts, config=config, fidelity=resolve_fidelity("fast", config.scene))
         table = run_plan(plan, output / "episodes" / f"{done:04d}", progress=False, workers=request.workers)
-        done += len(laws)
+        done += len(points)
         commits.extend(table["commit"])
         means = table.groupby("policy")["reward"].mean()
         return [float(means[name]) for name in policies]
@@ -116,43 +114,28 @@ def search_law(trials: int, generations: int, limit: int, request: Request) -> C
     stages = ("map", by_map, WIDE, max(trials // POPULATION, 1)), ("simulated", simulated, NEAR, generations)
     best = Constants()
     for where, reward, spread, count in stages:
-        tried = _searched(reward, point_of(best), spread, count)
-        rows += [{"where": where, "reward": value, **law.model_dump()} for law, value in tried]
-        best = max([tried[-1], *tried], key=lambda one: one[1])[0]  # of equals the search's mean
+        points, rewards, mean = search(reward, point_of(best), count, f"plc-law, {where}", spread, POPULATION)
+        centre = np.clip(mean, 0.0, 1.0)
+        laws, gained = [*map(constants_at, points), constants_at(centre)], [*rewards, *reward(centre[None])]
+        rows += [{"where": where, "reward": value, **law.model_dump()} for law, value in zip(laws, gained, strict=True)]
+        best = laws[-1] if gained[-1] >= max(gained) else laws[int(np.argmax(gained))]  # of equals the search's mean
     table = pd.DataFrame(rows)
     write_atomically(output / "plc-law-trials.csv", table.to_csv(index=False, float_format="%.6g"))
-    rewards = {where: float(part["reward"].max()) for where, part in table.groupby("where", sort=False)}
+    best_rewards = {where: float(part["reward"].max()) for where, part in table.groupby("where", sort=False)}
     tubes = {"map": len(whole.contexts), "simulated": limit}
-    record = {"constants": best.model_dump(), "rewards": rewards, "tubes": tubes}
+    record = {"constants": best.model_dump(), "rewards": best_rewards, "tubes": tubes}
     write_json(output / "plc-law.json", record | {"provenance": origin(commits=commits)})
     return best
 
 
-def _searched(
-    reward: Callable[[list[Constants]], list[float]], start: FloatArray, spread: float, generations: int
-) -> list[tuple[Constants, float]]:
-    """Laws that a CMA-ES around ``start`` tried, at its end its mean, and their rewards."""
-    bounds = np.tile([0.0, 1.0], (len(start), 1))
-    search = CMA(mean=start, sigma=spread, bounds=bounds, population_size=POPULATION, seed=0)
-    tried: list[tuple[Constants, float]] = []
-    for _ in tqdm(range(generations), unit="generation"):
-        points = [search.ask() for _ in range(POPULATION)]
-        laws = [constants_at(point) for point in points]
-        rewards = reward(laws)
-        search.tell([(point, -value) for point, value in zip(points, rewards, strict=True)])
-        tried += zip(laws, rewards, strict=True)
-    centre = constants_at(np.clip(search.mean, 0.0, 1.0))
-    return [*tried, (centre, reward([centre])[0])]
-
-
 def search_trim(limit: int, request: Request) -> Trim:
-    """The constants of trimmed-law: a grid of aims and times, compared with the law without a trim."""
-    place = place_of(None, "train", limit)
-    config = place.config.all_shown
+    """The constants of plc-integral: a grid of aims and times, compared with the law without a trim."""
+    place = case_of(None, "train", limit)
+    config = place.config.full_observation
     trims = {f"trim-{k}": Trim(aim=aim, time=time) for k, (aim, time) in enumerate(product(AIMS, TIMES))}
     policies: dict[str, Policy] = {UNTRIMMED: PlcLaw(config)}
     policies |= {name: TrimmedLaw(config, trim=trim) for name, trim in trims.items()}
-    plan = Plan(policies, place.contexts, config=config, fidelity=resolve_fidelity("fast"))
+    plan = Plan(policies, place.contexts, config=config, fidelity=resolve_fidelity("fast", config.scene))
     table = run_plan(plan, request.output / "trim-episodes", workers=request.workers)
     rows: list[dict[str, Any]] = []
     for name, trim in trims.items():
@@ -189,10 +172,10 @@ def quasi_steady_rewards(policy: FixedPolicy, tubes: Sequence[Context], vibratio
         feed, air = policy.targets(seen | {"root_tension": pulled}, memory)
         left = np.maximum(end - length, 0.0)
         travel = np.minimum(feed * dt, left)
-        mean, deviation = vibration.tells(length + 0.5 * travel, feed, air, values, config.scene)
+        mean, deviation = vibration.predict(length + 0.5 * travel, feed, air, values, config.scene)
         noise = np.hypot(10.0**mean * 1e-4, RF_FLOOR)
         reward += travel * metre_reward(config, expected_cost(mean, deviation, feed, air, config))
         length = length + travel
         if (left <= 0.0).all():
             break
-    return reward - config.uninspected_weight * np.maximum(end - length, 0.0)
+    return reward - uninspected_weight(config) * np.maximum(end - length, 0.0)

@@ -3,32 +3,31 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import Any, ClassVar, Final
+from typing import ClassVar, Final
 
 import numpy as np
 import pandas as pd
 
 from agents.evaluation.folder import PROFILE, PROFILE_HEARD
 from agents.evaluation.plan import Plan, run_plan
+from agents.policies.cases import plant_at
 from agents.policies.fixed import FixedPolicy
-from agents.policies.places import plant_at
 from agents.records.atomic import write_atomically
 from agents.records.manifest import origin, write_json
-from agents.records.reading import read_parquet
 from agents.records.shipped import file_or_shipped, ships
+from agents.records.tables import read_parquet
 from agents.studies.builtin import Request
 from agents.studies.shipped.network import fit_network
-from probe_env import Context, Scene, load_contexts
+from probe_env import Scene, load_contexts
 from probe_env.arrays import FloatArray
 from probe_env.envs.contexts import SPLIT_SIZES
 from probe_env.envs.plants import map_beside
 from probe_env.envs.task import TaskConfig, value_at
 from probe_env.envs.vibration_map import CONTEXT, PROFILED, VibrationMap, features_of, feeds, rms_limit
-from probe_env.fidelity import PRESETS
+from probe_env.fidelity import resolve_fidelity
 
 SEGMENT: Final = {"displacement": 3.0, "snr": 6.0}
 """[m] of constant feed and air, by the vibration measure: the noise in a flaw's band is a running mean of 1.2 s of
@@ -99,43 +98,36 @@ def fit_map(
 
 
 def run(request: Request) -> Path:
-    """Make the map; for a tube of your own NAME-map.npz beside its file, unless that is one that ships.
-
-    ``trials`` are insertions on each tube.
-    """
+    """Wander on training tubes (resumable), fit the map, store it in ``target_of``; ``trials``: insertions on each."""
     import_module("torch")  # for the fit, which comes after half an hour of simulation
 
     request.without("limit")
-    target = request.output / "vibration-map.npz"
-    if request.tube and ships("tubes", file_or_shipped("tubes", request.tube)):
-        print(f"probe-env: note: {request.tube} ships, and its map stays: the new one is {target}", file=sys.stderr)
-    elif request.tube:
-        target = map_beside(request.tube)
-    make_map(request.budget("trials", SEEDS, 100), request, target)
-    print(f"written: {target}")
-    return target
-
-
-def make_map(seeds: int, request: Request, target: Path) -> VibrationMap:
-    """Wander on training tubes (resumable), fit the map, store it in ``target``."""
-    plant = plant_at(request.tube)
+    seeds, target, plant = range(request.budget("trials", SEEDS, 100)), target_of(request), plant_at(request.tube)
     goes_on = {"lost_drive_periods": 1000}  # without drive: that is seen in the table
     config = TaskConfig().model_copy(update=goes_on) if plant is None else plant.configured(changes=goes_on)
     rms_limit(config)  # refuses a measure that no map tells of, before hours of work
     contexts = load_contexts("train") if plant is None else plant.contexts(SPLIT_SIZES["train"])
-    plan = Plan({"wandering": Wandering(config)}, contexts, range(seeds), config, PRESETS["fast"])
+    fast = resolve_fidelity("fast", config.scene)
+    plan = Plan({"wandering": Wandering(config)}, contexts, seeds, config, fast)
     episodes = run_plan(plan, request.output, workers=request.workers)
-    profile = with_contexts(read_parquet(request.output / "profile.parquet", PROFILE, PROFILE_HEARD), contexts)
+    profile = read_parquet(request.output / "profile.parquet", PROFILE, PROFILE_HEARD)
+    tubes = pd.DataFrame([tube.model_dump() for tube in contexts])[list(CONTEXT)]
+    profile[list(CONTEXT)] = tubes.to_numpy()[profile["context"]]
     fitted, quality = fit_map(profile, scene=plant.scene if plant else None, measure=config.vibration_measure)
     write_atomically(target, fitted.to_bytes())
     setting = {"contexts": "train", "episodes": len(plan.units()), "held_out_tubes": HELD_OUT}
     write_json(target.with_suffix(".json"), origin(commits=episodes["commit"]) | setting | quality)
     print(f"map of {len(plan.units())} insertions: {quality['explained_variance']:.3f} of the variance of log rms told")
-    return fitted
+    print(f"written: {target}")
+    return target
 
 
-def with_contexts(profile: pd.DataFrame, contexts: Sequence[Context]) -> pd.DataFrame:
-    """The profile with the columns of ``CONTEXT``."""
-    values = np.array([[getattr(c, name) for name in CONTEXT] for c in contexts])
-    columns: dict[str, Any] = {name: values[profile["context"], k] for k, name in enumerate(CONTEXT)}
-    return profile.assign(**columns)
+def target_of(request: Request) -> Path:
+    """File of the map: beside a tube of your own as NAME-map.npz, in the output folder for one that ships."""
+    target = request.output / "vibration-map.npz"
+    if request.tube is None:
+        return target
+    if not ships("tubes", file_or_shipped("tubes", request.tube)):
+        return map_beside(request.tube)
+    print(f"probe-env: note: {request.tube} ships, and its map stays: the new one is {target}", file=sys.stderr)
+    return target

@@ -7,35 +7,46 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, Final, Unpack
+from dataclasses import replace
+from typing import Any, Final, NamedTuple, Unpack
 
 import numpy as np
 import numpy.typing as npt
 
 from probe_env.arrays import BoolArray, FloatArray
+from probe_env.design import RANGES
 from probe_env.envs.contexts import Context
-from probe_env.envs.episodes.gauges import Gauges
-from probe_env.envs.episodes.judge import Judge, Score
-from probe_env.envs.episodes.limits import check_simulable
-from probe_env.envs.episodes.starts import DEFAULTS, EpisodeSettings, Starts, placed, settling
-from probe_env.envs.task import FAILURES, MEASURES, TaskConfig, air_used, capped_square
-from probe_env.envs.task.passes import StepRecord
+from probe_env.envs.episodes.limits import check_fidelity, check_start
+from probe_env.envs.episodes.scoring import RoundTripScorer, Scorer, StepRecord
+from probe_env.envs.episodes.starts import (
+    DEFAULTS,
+    EpisodeSampler,
+    EpisodeSettings,
+    placed,
+    restored_on_error,
+    settling,
+)
+from probe_env.envs.task import FAILURES, Score, TaskConfig, air_used
+from probe_env.envs.task.observations import SensorModel, normal_draws
 from probe_env.fidelity import resolve_fidelity
+from probe_env.inspection.snr import SnrEstimator
 from probe_env.physics.closed_forms import buckling_load
 from probe_env.physics.simulation.batch import SimulatorBatch
 from probe_env.physics.simulation.signals import SAMPLE_PERIOD
 from probe_env.physics.simulation.simulator import Simulator
 from probe_env.physics.simulation.window import Window, joined
 from probe_env.scene import Scene
-from probe_env.settings import check_known, whole_steps
+from probe_env.settings import check_known
 
 START_PERTURBATION: Final = 1e-7  # [m]
+IN_INFO: Final = (
+    "radial_rms_m", "radial_acceleration_rms_m_per_s2", "axial_rms_m", "tension_mean_n", "lift_off_share",
+)  # fmt: skip
+"""Statistics of a period that an info has."""
 
 
-@dataclass(frozen=True)
-class Step:
-    """Outcome of one period for N probes; ``infos`` has a dictionary for each that was stepped, else an empty one."""
+class Step(NamedTuple):
+    """What a step of N probes returns; ``infos`` has a dictionary for each that was stepped, else an empty one."""
 
     observation: npt.NDArray[np.float32]
     reward: FloatArray
@@ -51,8 +62,13 @@ class Episodes:
         count: N.
         config: the task.
         threads: at most so many; default: all cores.
-        may_stand: whether the feed action may be the task's ``standing``, which replays of logs choose.
+        allow_standstill: whether the feed action may be the task's ``standstill``, which replays of logs choose.
         settings: see ``EpisodeSettings``.
+
+    Attributes:
+        window: motion in the last period; None before the first.
+        running: (N,) which episodes have begun and not ended.
+        meter: estimates the signal-to-noise.
 
     Raises:
         ValueError: an argument is not valid.
@@ -65,45 +81,32 @@ class Episodes:
         config: TaskConfig,
         *,
         threads: int | None = None,
-        may_stand: bool = False,
+        allow_standstill: bool = False,
         **settings: Unpack[EpisodeSettings],
     ) -> None:
-        self.may_stand = may_stand
         check_known(type(self).__name__, settings, DEFAULTS)
         config, settings = placed({}, config, settings)
-        given = DEFAULTS | settings
+        arguments = DEFAULTS | settings
         if count < 1:
             raise ValueError(f"num_envs = {count!r} is outside the accepted range 1 and more")
-        self.config = config
+        self.config, self.allow_standstill = config, allow_standstill
         feed_speed, air_supply_rate = settling(config, settings)
-        self.starts = Starts(config, given["contexts"], given["probes"], feed_speed, air_supply_rate)
-        self.fidelity = resolve_fidelity(given["fidelity"], self.starts.stiffest, config.growing, config.returns)
-        if not self.fidelity.simulates:
-            raise ValueError("fidelity = 'surrogate' simulates no motion, which is asked for here: give fast or finer")
+        self.sampler = EpisodeSampler(config, arguments["contexts"], arguments["probes"], feed_speed, air_supply_rate)
+        self.fidelity = resolve_fidelity(arguments["fidelity"], self.sampler.stiffest, config.growing, config.returns)
+        check_fidelity(self.fidelity, config)
         self.start_action = config.action(feed_speed, air_supply_rate)
-        if self.fidelity.time_lapse > 1.0 and not config.growing:
-            raise ValueError(f"fidelity.time_lapse = {self.fidelity.time_lapse:g} needs a growing probe; here it is 1")
-        whole_steps(
-            "config.period / fidelity.time_lapse", config.period / self.fidelity.time_lapse, self.fidelity.time_step
-        )
-        if config.returns or self.fidelity.steady_feed is not None:
-            whole_steps("config.period", config.period, self.fidelity.time_step)
-        scenes = [self.starts.build(Context(), {})] * count
-        self.batch = SimulatorBatch(
-            scenes, self.fidelity.method, self.fidelity.time_step, self.fidelity.nodes_per_pitch,
-            threads=threads, **self._options(),
-        )  # fmt: skip
+        scenes = [self.sampler.build(Context(), {})] * count
+        self.batch = SimulatorBatch(scenes, *self.fidelity.numerics, threads=threads, **self._options())
+        self.scorer = (RoundTripScorer if config.returns else Scorer)(count, config)
+        self.meter, self.sensors = SnrEstimator(config.sensor, count, SAMPLE_PERIOD), SensorModel(config, count)
         self.context = [Context()] * count
-        self.gauges = Gauges(config, self.batch)
-        self.judge = Judge(count, config)
-        self.tally, self.passes = self.judge.tally, self.judge.passes
         self.rng = [np.random.default_rng(k) for k in range(count)]
         self.actions = np.tile(self.start_action, (count, 1))
         self.running = np.zeros(count, dtype=bool)
         self.window: Window | None = None
 
     def __len__(self) -> int:
-        return len(self.tally)
+        return len(self.context)
 
     @property
     def kernel_seconds(self) -> float:
@@ -113,29 +116,43 @@ class Episodes:
     @property
     def observation(self) -> npt.NDArray[np.float32]:
         """(N, d) what is observed now; of episodes that diverged what was before."""
-        return self.gauges.observation
+        return self.sensors.observation
+
+    @property
+    def direction(self) -> FloatArray:
+        """(N,) 1 on insertion, -1 on withdrawal."""
+        return self.scorer.direction
+
+    @property
+    def inserted_length(self) -> FloatArray:
+        """(N,) cable in the helix, not more than it is long [m]."""
+        return np.array([s.length_in_helix for s in self.batch.simulators])
+
+    @property
+    def helix_length(self) -> FloatArray:
+        """(N,) [m]."""
+        return np.array([s.scene.tube.helix_length for s in self.batch.simulators])
 
     def time_lapse(self, targets: FloatArray) -> FloatArray:
         """(N,) how many times faster than the motion's clock the length changes in a period with targets (N, 2).
 
-        What rings on the way in is nearly steady, so metres may be left out. On the way back the motion is what the
-        turn or a change of the feed has left; time-lapse would spread it over so many times as many metres.
+        What rings on insertion is nearly steady, so metres may be left out. On withdrawal the motion is what the turn
+        or a change of the feed has left; time-lapse would spread it over so many times as many metres.
         """
         now = [simulator.feed_speed for simulator in self.batch.simulators]
-        return np.where(self.passes.way > 0.0, self.fidelity.time_lapse_of(now, targets[:, 0]), 1.0)
+        return np.where(self.direction > 0.0, self.fidelity.time_lapse_of(now, targets[:, 0]), 1.0)
 
     def fork(self, which: Sequence[int]) -> Episodes:
         """Copies of some episodes in their present state, each as often as it is named: what a controller tries out.
 
-        They are rewarded and end as the episodes themselves would; their figures count from here on.
+        They are rewarded and end as the episodes themselves would; their metrics count from here on.
 
         Raises:
             ValueError: ``which`` is empty or names no episode of these.
         """
         new = copy.copy(self)
         new.batch = self.batch.branch(which)
-        new.gauges, new.judge = self.gauges.fork(which, new.batch), self.judge.fork(which)
-        new.tally, new.passes = new.judge.tally, new.judge.passes
+        new.scorer, new.meter, new.sensors = self.scorer.fork(which), self.meter.fork(which), self.sensors.fork(which)
         new.context, new.rng = [self.context[k] for k in which], [copy.deepcopy(self.rng[k]) for k in which]
         new.actions, new.running, new.window = self.actions[list(which)], self.running[list(which)], None
         return new
@@ -155,23 +172,21 @@ class Episodes:
             ValueError: an option is not known or not valid, or asks for what this fidelity or the model cannot
                 simulate, see ``limits``; nothing has been changed then.
         """
-        prepared = {}
-        for k in which:
-            trial = copy.deepcopy(rngs[k])  # the generator itself moves on only if all is valid
-            prepared[k] = self.starts.draw(trial, (options or {}).get(k) or {})
-            self._check_simulable(k, prepared[k][1])
+        prepared: dict[int, tuple[Context, Scene]] = {}
+        with restored_on_error(rngs[k] for k in which):
+            for k in which:
+                prepared[k] = self.sampler.draw(rngs[k], (options or {}).get(k) or {})
+                try:
+                    check_start(prepared[k][1], self.fidelity, self.config)
+                except ValueError as error:
+                    raise ValueError(f"environment {k}: {error}" if len(self) > 1 else str(error)) from error
         for k, (context, scene) in prepared.items():
-            rng = rngs[k]
-            self.starts.draw(rng, {})
-            seed = int(rng.integers(2**31))
-            self.rng[k], self.context[k] = rng, context
-            simulator = Simulator(
-                scene, self.fidelity.method, self.fidelity.time_step, self.fidelity.nodes_per_pitch,
-                seed=seed, **self._options(),
-            )  # fmt: skip
+            self.rng[k], self.context[k] = rngs[k], context
+            seed = int(rngs[k].integers(2**31))
+            simulator = Simulator(scene, *self.fidelity.numerics, seed=seed, **self._options())
             self.batch.replace(k, simulator)
-            self.judge.begin(k, simulator.inserted_length, scene.tube.helix_length)
-            self.gauges.meter.forget(k)
+            self.scorer.begin(k, simulator.inserted_length, scene.tube.helix_length)
+            self.meter.reset(k)
             self.actions[k] = self.start_action
             simulator.hold_length()  # settling is not inspection
         self._set_friction(which)
@@ -181,9 +196,9 @@ class Episodes:
         infos = {}
         for k in which:
             self.batch.simulators[k].feed_length()
-            self.tally[k].last_radial = window.radial_of(k)[-2:].copy()
+            self.scorer.metrics[k].last_radial = window.radial_of(k)[-2:].copy()
             self.running[k] = True  # one that diverged while settling ends in its first step
-        self.gauges.begin(self._measured(window), active, self.rng)
+        self.sensors.begin(self._measured(window), active, normal_draws(self.rng, active, 2))
         for k in which:
             infos[k] = self._info(k, window) | {
                 "context": self.context[k].model_dump(),
@@ -199,96 +214,119 @@ class Episodes:
             ValueError: an action is not valid; nothing has been advanced then.
             RuntimeError: an active episode has ended and was not reset.
         """
-        count = len(self)
-        chosen = np.ones(count, dtype=bool) if active is None else np.asarray(active, dtype=bool)
-        given = np.asarray(actions, dtype=np.float32)
-        if given.shape != (count, 2):
-            raise ValueError(f"actions have shape {given.shape}; accepted is ({count}, 2): feed speed, air supply")
-        actions = np.where(chosen[:, None], given, self.actions).astype(np.float32)
-        targets = self.config.targets(actions, self.may_stand) * self.passes.way[:, None]
-        if (chosen & ~self.running).any():
-            raise RuntimeError(f"episode {np.flatnonzero(chosen & ~self.running)[0]} has ended: call reset before step")
-        change = np.where(chosen[:, None], actions.astype(float) - self.actions, 0.0)
+        stepped, actions = self._checked(actions, active)
+        targets = self.config.targets(actions, self.allow_standstill) * self.direction[:, None]
+        check_running(self.running, stepped)
+        record = self._simulate(stepped, actions, targets)
+        scored = self.scorer.score(record)
+        noise = normal_draws(self.rng, record.good, 2)
+        self.sensors.update(self._measured(record.window), record.good, noise, self.rng)
+        self.running &= ~(scored.terminated | scored.truncated)
+        infos = [self._step_info(k, record, scored, targets) if stepped[k] else {} for k in range(len(self))]
+        return Step(self.observation.copy(), scored.reward, scored.terminated, scored.truncated, infos)
+
+    def _checked(self, actions: npt.ArrayLike, active: BoolArray | None) -> tuple[BoolArray, npt.NDArray[np.float32]]:
+        """Which probes (N,) are stepped, and the actions (N, 2) of all: the last ones of those that are not."""
+        stepped = np.ones(len(self), dtype=bool) if active is None else np.asarray(active, dtype=bool)
+        asked = np.asarray(actions, dtype=np.float32)
+        if asked.shape != (len(self), 2):
+            raise ValueError(f"actions have shape {asked.shape}; accepted is ({len(self)}, 2): feed speed, air supply")
+        return stepped, np.where(stepped[:, None], asked, self.actions).astype(np.float32)
+
+    def _simulate(self, stepped: BoolArray, actions: npt.NDArray[np.float32], targets: FloatArray) -> StepRecord:
+        """Advance some probes by a control period towards targets (N, 2) [m/s], [m3/s]."""
+        change = np.where(stepped[:, None], actions.astype(float) - self.actions, 0.0)
         self.actions = actions
-        before, air_before = self.gauges.inserted(), self.gauges.air_supply_rate()
-        self._set_friction(np.flatnonzero(chosen).tolist())
+        before, air_before = self.inserted_length, np.array([s.air_supply_rate for s in self.batch.simulators])
+        self._set_friction(np.flatnonzero(stepped).tolist())
         lapse = self.time_lapse(targets)
-        for k in np.flatnonzero(chosen):
+        for k in np.flatnonzero(stepped):
             simulator = self.batch.simulators[k]
             (simulator.feed_length if lapse[k] > 1.0 else simulator.follow_length)()
         seconds = self.config.period / lapse
-        self.window = window = self._advance(targets, seconds, chosen)
-        record = self._record(chosen, before, air_before, seconds, change, window)
-        load = np.array([buckling_load(s.scene.probe) for s in self.batch.simulators])
-        score = self.judge.judge(record, window, self.gauges.meter, load)
-        self.gauges.read(self._measured(window), record.good, self.rng)
-        self.running &= ~score.end.over
-        infos = [self._step_info(k, window, score, targets) if chosen[k] else {} for k in range(count)]
-        return Step(self.observation.copy(), score.reward, score.end.terminated, score.end.truncated, infos)
+        self.window = window = self._advance(targets, seconds, stepped)
+        good = stepped & ~window.diverged
+        return StepRecord(
+            stepped=stepped,
+            good=good,
+            before=before,
+            after=self.inserted_length,
+            helix_length=self.helix_length,
+            air=np.where(good, air_used(self.config, air_before, window.air_supply_rate), 0.0),
+            seconds=seconds,
+            action_change=change,
+            buckling_load=np.array([buckling_load(s.scene.probe) for s in self.batch.simulators]),
+            window=window,
+            signals={k: self.meter.last(k) for k in np.flatnonzero(good).tolist()},
+        )
 
     def _advance(self, targets: FloatArray | None, seconds: FloatArray, which: BoolArray) -> Window:
-        """Advance some probes by (N,) seconds towards targets (N, 2), or on as they are, and hear their motion."""
+        """Advance some probes by (N,) seconds towards targets (N, 2), or on as they are; adds "noise_to_signal"."""
         feed, air = (None, None) if targets is None else (targets[:, 0], targets[:, 1])
         parts = []
         for duration in np.unique(seconds[which]) if which.any() else seconds[:1]:
             part = which & (seconds == duration)
             window = self.batch.advance(feed, air, float(duration), SAMPLE_PERIOD, part, keep_samples=True)
-            parts.append((part, self.gauges.listen(window, part & ~window.diverged)))
+            assert window.radial is not None
+            noise, good = np.zeros(len(self)), np.flatnonzero(part & ~window.diverged)
+            if len(good):
+                noise[good] = 1.0 / self.meter.update(good, window.radial[:, good], window.feed_speed[good]).snr
+            parts.append((part, replace(window, statistics=window.statistics | {"noise_to_signal": noise})))
         return joined(parts)
 
-    def _record(
-        self,
-        chosen: BoolArray,
-        before: FloatArray,
-        air_before: FloatArray,
-        seconds: FloatArray,
-        change: FloatArray,
-        window: Window,
-    ) -> StepRecord:
-        config, statistics, good = self.config, window.statistics, chosen & ~window.diverged
-        ratio = statistics[MEASURES[config.vibration_measure][0]] / config.limit
-        rms = np.column_stack([statistics["radial_rms_m"], statistics["radial_acceleration_rms_m_per_s2"]])
-        air = np.where(good, air_used(config, air_before, window.air_supply_rate), 0.0)
-        return StepRecord(
-            chosen, good, before, self.gauges.inserted(), self.gauges.helix_length(), window.feed_speed, air, seconds,
-            change, capped_square(config, ratio), ratio <= 1.0, rms**2,
-        )  # fmt: skip
-
     def _measured(self, window: Window) -> dict[str, FloatArray]:
-        return self.gauges.measured(window, self.context, self.actions) | {"way": self.passes.way.copy()}
+        """What sensors measure, (N,) each in SI units, see ``observe``."""
+        inserted, statistics = self.inserted_length, dict(window.statistics)
+        if self.config.vibration_measure == "snr":  # then the eddy-current noise is that of the flaw's band
+            statistics["radial_rms_m"] = self.config.sensor.equivalent_rms(statistics["noise_to_signal"])
+        probes = [s.scene.probe for s in self.batch.simulators]
+        return {
+            **statistics,
+            **{name: np.array([getattr(c, name) for c in self.context]) for name in Context.model_fields},
+            **{name: np.array([getattr(probe, name) for probe in probes]) for name in RANGES},
+            "inserted_length": inserted,
+            "remaining_length": self.helix_length - inserted,
+            "feed_speed": window.feed_speed,
+            "air_supply_rate": window.air_supply_rate,
+            "previous_feed_action": self.actions[:, 0].astype(float),
+            "previous_air_action": self.actions[:, 1].astype(float),
+            "way": self.direction,
+        }
 
-    def _step_info(self, k: int, window: Window, score: Score, targets: FloatArray) -> dict[str, Any]:
-        terms, costs = (
-            {name: float(values[k]) for name, values in part.items()} for part in (score.rewards, score.costs)
-        )
-        info = self._info(k, window) | {
-            "reward_terms": terms,
+    def _info(self, k: int, window: Window) -> dict[str, Any]:
+        """Physical values of one probe, SI units."""
+        metrics, noise = self.scorer.metrics[k], float(window.statistics["noise_to_signal"][k])
+        return {
+            "time": metrics.time,
+            "inspected_length": metrics.inspected,
+            **({"way": float(self.direction[k])} if self.config.returns else {}),
+            "inserted_length": float(self.batch.simulators[k].length_in_helix),
+            "feed_speed": float(window.feed_speed[k]),
+            "air_supply_rate": float(window.air_supply_rate[k]),
+            **{name: float(window.statistics[name][k]) for name in IN_INFO},
+            "snr": 1.0 / noise if noise > 0.0 else 0.0,
+            "noise_rms_m": float(self.config.sensor.equivalent_rms(np.array(noise))),
+        }
+
+    def _step_info(self, k: int, record: StepRecord, scored: Score, targets: FloatArray) -> dict[str, Any]:
+        costs = {name: float(values[k]) for name, values in scored.costs.items()}
+        info = self._info(k, record.window) | {
+            "reward_terms": {name: float(values[k]) for name, values in scored.rewards.items()},
             "cost": sum(costs.values()),
             "cost_terms": costs,
             "target_feed_speed": float(targets[k, 0]),
             "target_air_supply_rate": float(targets[k, 1]),
-            **{name: bool(getattr(score.end, name)[k]) for name in FAILURES},
+            **{name: bool(scored.endings[name][k]) for name in FAILURES},
         }
         if not self.running[k]:
-            info["episode_kpis"] = self.judge.kpis(k, float(self.gauges.helix_length()[k]), score.end)
+            info["episode_kpis"] = self.scorer.kpis(k, float(record.helix_length[k]), scored)
         return info
-
-    def check_tube(self, context: Context) -> None:
-        """Raise ValueError if an episode in this tube with the scene's probe could not begin; nothing is simulated."""
-        self._check_simulable(0, self.starts.build(context, {}))
-
-    def _check_simulable(self, k: int, scene: Scene) -> None:
-        longest = scene.tube.helix_length if self.config.growing else scene.inserted_length
-        try:
-            check_simulable(scene, self.fidelity, longest, self.config.air_supply_rates[1])
-        except ValueError as error:
-            raise ValueError(f"environment {k}: {error}" if len(self) > 1 else str(error)) from error
 
     def _set_friction(self, which: Sequence[int]) -> None:
         """Give some probes the mean friction of the tube that they are in, where it drifts along it."""
         if self.config.friction_drift == 0.0:
             return
-        share = self.gauges.inserted() / self.gauges.helix_length()
+        share = self.inserted_length / self.helix_length
         for k in which:
             mean = self.context[k].friction * (1.0 + self.config.friction_drift * (float(share[k]) - 1.0))
             self.batch.simulators[k].set_friction(min(mean, 1.0))
@@ -302,8 +340,8 @@ class Episodes:
             "perturbation": START_PERTURBATION,
         }
 
-    def _info(self, k: int | np.integer[Any], window: Window) -> dict[str, Any]:
-        """Physical values of one probe, SI units."""
-        way = {"way": float(self.passes.way[k])} if self.config.returns else {}
-        tally = self.tally[k]
-        return {"time": tally.time, "inspected_length": tally.inspected} | way | self.gauges.shows(int(k), window)
+
+def check_running(running: BoolArray, stepped: BoolArray) -> None:
+    """Raise RuntimeError if an episode (N,) that is to be stepped has ended."""
+    if (stepped & ~running).any():
+        raise RuntimeError(f"episode {np.flatnonzero(stepped & ~running)[0]} has ended: call reset before step")

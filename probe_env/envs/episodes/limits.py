@@ -17,10 +17,12 @@ from __future__ import annotations
 import math
 from typing import Final, NamedTuple
 
+from probe_env.envs.task import TaskConfig
 from probe_env.fidelity import MESH_NODES, Fidelity
 from probe_env.physics.methods import METHODS, ON_NODES
 from probe_env.physics.model.chain import air_speed
 from probe_env.scene import Probe, Scene
+from probe_env.settings import whole_steps
 
 MOST_TURN: Final = 1.0  # [rad]
 REMEDY: Final = "give a stiffer contact, less drag or a wider helix"
@@ -40,6 +42,23 @@ class Sliding(NamedTuple):
     tension: float
     depth: float
     slide: float
+
+
+def check_fidelity(fidelity: Fidelity, config: TaskConfig) -> None:
+    """Raise ValueError if a fidelity cannot simulate a task, in whatever tube."""
+    if not fidelity.simulates:
+        raise ValueError("fidelity = 'surrogate' simulates no motion, which is asked for here: give fast or finer")
+    if fidelity.time_lapse > 1.0 and not config.growing:
+        raise ValueError(f"fidelity.time_lapse = {fidelity.time_lapse:g} needs a growing probe; here it is 1")
+    whole_steps("config.period / fidelity.time_lapse", config.period / fidelity.time_lapse, fidelity.time_step)
+    if config.returns or fidelity.steady_feed is not None:
+        whole_steps("config.period", config.period, fidelity.time_step)
+
+
+def check_start(scene: Scene, fidelity: Fidelity, config: TaskConfig) -> None:
+    """Raise ValueError if an episode of a task cannot begin in a scene, as ``EpisodeSampler.build`` makes it."""
+    longest = scene.tube.helix_length if config.growing else scene.inserted_length
+    check_simulable(scene, fidelity, longest, config.air_supply_rates[1])
 
 
 def check_simulable(scene: Scene, fidelity: Fidelity, longest: float, most_air: float) -> None:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Literal, TypedDict, get_args
@@ -13,7 +14,7 @@ from pydantic import ValidationError
 from probe_env.design import RANGES, Design
 from probe_env.envs.contexts import SPLIT_SIZES, Context, Ranges, Split, draw_context, load_contexts
 from probe_env.envs.plants import GivenPlant, map_beside, plant_of
-from probe_env.envs.task import TaskConfig
+from probe_env.envs.task import TaskConfig, ungrouped
 from probe_env.envs.task.config import scene_of
 from probe_env.envs.vibration_map import VibrationMap
 from probe_env.fidelity import Fidelity
@@ -66,9 +67,21 @@ def settling(config: TaskConfig, settings: EpisodeSettings) -> tuple[float, floa
     return settings.get("feed_speed", feed), settings.get("air_supply_rate", air)
 
 
+@contextmanager
+def restored_on_error(rngs: Iterable[np.random.Generator]) -> Iterator[None]:
+    """Generators go back to where they were if an error leaves the block."""
+    before = [(rng, rng.bit_generator.state) for rng in rngs]
+    try:
+        yield
+    except BaseException:
+        for rng, state in before:
+            rng.bit_generator.state = state
+        raise
+
+
 @dataclass(frozen=True)
-class Starts:
-    """What episodes begin from, see ``EpisodeSettings``; ValueError for contexts or probes that there are not."""
+class EpisodeSampler:
+    """Draws tube and probe of an episode, see ``EpisodeSettings``; ValueError for contexts or probes not known."""
 
     config: TaskConfig
     contexts: Contexts
@@ -104,9 +117,9 @@ class Starts:
         Raises:
             ValueError: an option is not known or not valid.
         """
-        given = dict(options)
-        changes: dict[str, Any] = {name: given.pop(name) for name in ("probe", "carrier_length") if name in given}
-        context = drawn_context(self.contexts, rng, given)
+        fixed = dict(options)
+        changes: dict[str, Any] = {name: fixed.pop(name) for name in ("probe", "carrier_length") if name in fixed}
+        context = drawn_context(self.contexts, rng, fixed)
         drawn = Design.random(rng).cut_to(self.scene).built.model_dump() if self.probes == "random" else {}
         changes["probe"] = drawn | dict(changes.get("probe", {}))
         return context, self.build(context, changes)
@@ -156,8 +169,9 @@ def placed(
         left.setdefault("surrogate_map", map_beside(Path(file)))
     plant, scene = plant_of(left.pop("tube", None)), left.pop("scene", None)
     if plant is None:
-        task = config if isinstance(config, TaskConfig) else None
-        task = task or TaskConfig.model_validate(tuples(dict(defaults) | dict(config or {})))  # JSON has no tuples
+        task = config
+        if not isinstance(task, TaskConfig):  # of JSON, which has no tuples
+            task = TaskConfig.model_validate(tuples(dict(defaults) | ungrouped(dict(config or {}))))
         return (task if scene is None else task.model_copy(update={"scene": scene_of(scene)})), left
     if scene is not None:
         raise ValueError("tube and scene: give one of them, a tube has a scene of its own")
@@ -187,12 +201,12 @@ def checked_contexts(contexts: Contexts) -> tuple[Context, ...] | Ranges:
     try:
         if isinstance(contexts, Mapping):
             return Ranges.model_validate(tuples(dict(contexts)))
-        place, listed = "contexts", []
-        for k, given in enumerate(contexts):
-            place = f"contexts[{k}]"
-            listed.append(given if isinstance(given, Context) else Context.model_validate(dict(given)))
+        name, listed = "contexts", []
+        for k, fields in enumerate(contexts):
+            name = f"contexts[{k}]"
+            listed.append(fields if isinstance(fields, Context) else Context.model_validate(dict(fields)))
     except ValidationError as error:
-        raise ValueError(explain(error, "contexts" if isinstance(contexts, Mapping) else place)) from error
+        raise ValueError(explain(error, "contexts" if isinstance(contexts, Mapping) else name)) from error
     except TypeError as error:
         raise ValueError(f"contexts = {contexts!r} is no name, list of contexts or mapping of ranges") from error
     if not listed:
@@ -200,19 +214,19 @@ def checked_contexts(contexts: Contexts) -> tuple[Context, ...] | Ranges:
     return tuple(listed)
 
 
-def drawn_context(contexts: Contexts, rng: np.random.Generator, given: dict[str, Any]) -> Context:
-    """A context from the generator, at random or from a list; ``given`` fixes fields or a whole "context".
+def drawn_context(contexts: Contexts, rng: np.random.Generator, fixed: dict[str, Any]) -> Context:
+    """A context from the generator, at random or from a list; ``fixed`` fixes fields or a whole "context".
 
-    Takes "context" out of ``given``.
+    Takes "context" out of ``fixed``.
 
     Raises:
         ValueError: no such list, or a field that is not known or not valid.
     """
     source = checked_contexts(contexts)
-    whole = given.pop("context", None)
+    whole = fixed.pop("context", None)
     if whole is not None:
         values = whole.model_dump() if isinstance(whole, Context) else dict(whole)
-        given = values | given
+        fixed = values | fixed
     if isinstance(source, Ranges):
-        return draw_context(rng, given, source)
-    return source[int(rng.integers(len(source)))].model_copy(update=given)
+        return draw_context(rng, fixed, source)
+    return source[int(rng.integers(len(source)))].model_copy(update=fixed)

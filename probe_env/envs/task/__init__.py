@@ -1,15 +1,16 @@
 """The control task: actions, observations, rewards, costs and endings of N probes; no simulator."""
 
-from probe_env.envs.task.config import MEASURES, SHOWN, Inspects, Measure, TaskConfig, describe
-from probe_env.envs.task.observations import action_in, action_of, share_between, share_of, value_at
+from probe_env.envs.task.config import MEASURES, SHOWN, Inspects, Measure, TaskConfig, describe, ungrouped
 from probe_env.envs.task.rules import (
     COSTS,
     END_TOLERANCE,
     ENDINGS,
     FAILURES,
-    Outcome,
+    Score,
     air_used,
+    any_ending,
     capped_square,
+    consecutive_slack,
     cost_terms,
     costs,
     drive_counts,
@@ -17,38 +18,16 @@ from probe_env.envs.task.rules import (
     metre_cost,
     metre_reward,
     reward_terms,
+    score,
     slack,
-    slack_in_a_row,
     travel,
-)
+    uninspected_weight,
+)  # fmt: skip
+from probe_env.envs.task.scales import action_in, action_of, share_between, share_of, value_at
 
 __all__ = [
-    "COSTS",
-    "ENDINGS",
-    "END_TOLERANCE",
-    "FAILURES",
-    "MEASURES",
-    "SHOWN",
-    "Inspects",
-    "Measure",
-    "Outcome",
-    "TaskConfig",
-    "action_in",
-    "action_of",
-    "air_used",
-    "capped_square",
-    "cost_terms",
-    "costs",
-    "describe",
-    "drive_counts",
-    "ending",
-    "metre_cost",
-    "metre_reward",
-    "reward_terms",
-    "share_between",
-    "share_of",
-    "slack",
-    "slack_in_a_row",
-    "travel",
-    "value_at",
-]
+    "COSTS", "ENDINGS", "END_TOLERANCE", "FAILURES", "MEASURES", "SHOWN", "Inspects", "Measure", "Score", "TaskConfig",
+    "action_in", "action_of", "air_used", "any_ending", "capped_square", "consecutive_slack", "cost_terms", "costs",
+    "describe", "drive_counts", "ending", "metre_cost", "metre_reward", "reward_terms", "score", "share_between",
+    "share_of", "slack", "travel", "ungrouped", "uninspected_weight", "value_at",
+]  # fmt: skip

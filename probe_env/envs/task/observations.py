@@ -1,120 +1,57 @@
-"""Scales: measured values as an observation, an observation in SI units, and values in a range as actions in [-1, 1].
-
-Everything is for N probes at once, one row or entry a probe.
-"""
+"""Sensor model: observations of N probes with noise and delay, and observations in SI units."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final
+from collections.abc import Sequence
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
-from probe_env.arrays import FloatArray
+from probe_env.arrays import BoolArray, FloatArray
 from probe_env.design import RANGES
+from probe_env.envs.task.config import TaskConfig
+from probe_env.envs.task.scales import (
+    ACCELEROMETER_FLOOR,
+    LOAD_CELL,
+    LOGARITHMIC,
+    RF_FLOOR,
+    UNITS,
+    share_between,
+    value_at,
+)
 
-if TYPE_CHECKING:
-    from probe_env.envs.task.config import TaskConfig
-
-ACCELEROMETER_FLOOR: Final = 1e-2  # [m/s2] rms, its own noise
-RF_FLOOR: Final = 1e-6  # [m] of radial rms: noise of the eddy-current signal at rest
-LOAD_CELL: Final = 1e4  # [N], the range that it is built for: overloaded it shows its end
-OBSERVATIONS: Final[dict[str, tuple[float, float, str]]] = {
-    "inserted_length": (0.0, 20.0, "cable in the helix / 60 m"),
-    "remaining_length": (-1.0, 20.0, "length still to feed / 60 m"),
-    "feed_speed": (0.0, 6.0, "applied feed speed / (0.4 m/s)"),
-    "air_supply_rate": (0.0, 6.0, "applied air supply / (130 m3/h)"),
-    "radial_acceleration": (-3.0, 8.0, "log10 of the radial accelerometer's rms / (1 m/s2)"),
-    "axial_acceleration": (-3.0, 8.0, "log10 of the axial accelerometer's rms / (1 m/s2)"),
-    "rf_noise": (-4.0, 5.0, "log10 of the eddy-current noise, as radial rms / 0.1 mm; with sensor noise"),
-    "root_tension": (-500.0, 500.0, "mean root tension / 20 N; with sensor noise; the load cell ends at 10 kN"),
-    "previous_feed_action": (-1.5, 1.5, "action before, feed speed"),
-    "previous_air_action": (-1.5, 1.5, "action before, air supply"),
-    "helix_diameter": (0.0, 4000.0, "helix diameter / 2.5 m"),
-}
-"""Name -> (low, high, meaning) of what a rig can measure; no valid run reaches a bound but that of the load cell.
-
-Inserted length, feed, air and helix end at what scenes and tasks accept; radial signals at a displacement of 1 m,
-where a probe counts as diverged. Ten times table 2's drag pulls with 2.4 kN in a straight tube."""
-BOTH_WAYS: Final[dict[str, tuple[float, float, str]]] = {
-    "feed_speed": (-6.0, 6.0, "applied feed speed, below 0 on the way back / (0.4 m/s)"),
-    "air_supply_rate": (-6.0, 6.0, "applied air supply, below 0 towards the feed device / (130 m3/h)"),
-    "way": (-1.0, 1.0, "1 on the way in, -1 on the way back"),
-}
-"""What is observed otherwise, or as well, where the probe is drawn back too."""
-PRIVILEGED: Final[dict[str, tuple[float, float, str]]] = {
-    "friction": (0.0, 4.0, "friction coefficient / 0.25"),
-    "contact_stiffness": (0.0, 1000.0, "contact stiffness / (1e5 N/m)"),
-    "drag_factor": (0.0, 10.0, "drag over that of table 2"),
-}
-PROBE: Final[dict[str, tuple[float, float, str]]] = {
-    name: (-2000.0, 2000.0, f"{name.replace('_', ' ')}: 0 to 1 in the design space, {low:g} to {high:g} {unit}")
-    for name, (low, high, unit) in RANGES.items()
-}
-"""The probe that was built, for controllers of many probes."""
-UNITS: Final = {
-    "inserted_length": 60.0, "remaining_length": 60.0, "feed_speed": 0.4, "air_supply_rate": 130.0 / 3600.0,
-    "rf_noise": 1e-4, "radial_acceleration": 1.0, "axial_acceleration": 1.0, "root_tension": 20.0,
-    "helix_diameter": 2.5, "friction": 0.25, "contact_stiffness": 1e5, "drag_factor": 1.0,
-}  # fmt: skip
-"""What an observation is a multiple, or the logarithm of a multiple, of [SI unit]."""
-LOGARITHMIC: Final = ("rf_noise", "radial_acceleration", "axial_acceleration")
-
-
-def share_of(action: FloatArray) -> FloatArray:
-    """The share of a range, 0 to 1, that an action in [-1, 1] stands for; beyond it the end."""
-    return np.asarray(_share(np.clip(action, -1.0, 1.0)))
-
-
-def action_of(share: FloatArray) -> FloatArray:
-    """The inverse of ``share_of``."""
-    return 2.0 * share - 1.0
-
-
-def value_at(share: FloatArray, range_: tuple[float, float]) -> FloatArray:
-    """The inverse of ``share_between``."""
-    low, high = range_
-    return low + share * (high - low)
-
-
-def action_in(action: FloatArray, range_: tuple[float, float], other: tuple[float, float]) -> FloatArray:
-    """The action that asks in an ``other`` range for what an action asks for in a range, within it or not."""
-    return action_of(share_between(value_at(_share(action), range_), other))
-
-
-def share_between(value: FloatArray | float, range_: tuple[float, float]) -> FloatArray:
-    """Where in a range a value is: 0 at its low end, 1 at its high one."""
-    low, high = range_
-    return np.asarray((np.asarray(value, dtype=float) - low) / (high - low))
-
-
-def _share(action: FloatArray) -> FloatArray:
-    return 0.5 * (action + 1.0)
+DROPPING_OUT: Final = ("rf_noise", "root_tension")
+"""Observations that keep their last value in a period in which they drop out."""
 
 
 def observe(config: TaskConfig, measured: dict[str, FloatArray], noise: FloatArray) -> npt.NDArray[np.float32]:
-    """(N, d) observation of what was measured, with standard normal ``noise`` (N, 2) for RF noise and tension."""
+    """(N, d) observation of measured values, with standard normal ``noise`` (N, 2) for RF noise and tension.
+
+    Args:
+        config: the task.
+        measured: (N,) each in SI units: statistics of the motion, and every other observation by its name.
+        noise: (N, 2).
+    """
     tension = measured["tension_mean_n"] * (1.0 + config.tension_noise * noise[:, 1])
-    felt: dict[str, FloatArray] = measured | {
+    values: dict[str, FloatArray] = measured | {
         "radial_acceleration": np.hypot(measured["radial_acceleration_rms_m_per_s2"], ACCELEROMETER_FLOOR),
         "axial_acceleration": np.hypot(measured["axial_acceleration_rms_m_per_s2"], ACCELEROMETER_FLOOR),
         "rf_noise": np.hypot(measured["radial_rms_m"], RF_FLOOR) * np.exp(config.rf_noise * noise[:, 0]),
         "root_tension": np.clip(tension, -LOAD_CELL, LOAD_CELL),
-        "previous_feed_action": measured["feed_action"],
-        "previous_air_action": measured["air_action"],
     }
 
     def column(name: str) -> FloatArray:
         if name in RANGES:
-            return share_between(felt[name], RANGES[name][:2])
-        value = felt[name] / UNITS.get(name, 1.0)
+            return share_between(values[name], RANGES[name][:2])
+        value = values[name] / UNITS.get(name, 1.0)
         return np.asarray(np.log10(value) if name in LOGARITHMIC else value)
 
     return np.column_stack([column(name) for name in config.observations]).astype(np.float32)
 
 
 def in_si_units(config: TaskConfig, observation: npt.NDArray[np.floating[Any]]) -> dict[str, FloatArray]:
-    """What observations (N, d) say, by name and in SI units (N,): the inverse of ``observe``.
+    """Observations (N, d) by name and in SI units (N,): the inverse of ``observe``.
 
     ``rf_noise`` is the radial rms [m] that would make it, accelerations are rms [m/s2], actions stay as they are.
 
@@ -133,3 +70,57 @@ def in_si_units(config: TaskConfig, observation: npt.NDArray[np.floating[Any]]) 
 
     columns = zip(config.observations, observation.astype(float).T, strict=True)
     return {name: value(name, column) for name, column in columns}
+
+
+def normal_draws(rngs: Sequence[np.random.Generator], which: BoolArray, count: int) -> FloatArray:
+    """(N, count) standard normal draws of each probe's own generator; 0 for probes not in ``which`` (N,)."""
+    draws = np.zeros((len(which), count))
+    for k in np.flatnonzero(which).tolist():
+        rngs[k].standard_normal(out=draws[k])
+    return draws
+
+
+class SensorModel:
+    """Observations of N probes, with noise and delay.
+
+    Attributes:
+        observed: (N, delay + 1, d) last observations, oldest first: the first is the one that is observed now.
+    """
+
+    def __init__(self, config: TaskConfig, count: int) -> None:
+        self.config = config
+        self.observed = np.zeros((count, config.delay_periods + 1, len(config.observations)), dtype=np.float32)
+
+    def fork(self, which: Sequence[int]) -> SensorModel:
+        """The sensor model of copies of some probes, with what they observed so far."""
+        new = SensorModel(self.config, 0)
+        new.observed = self.observed[list(which)]
+        return new
+
+    @property
+    def observation(self) -> npt.NDArray[np.float32]:
+        """(N, d) what is observed now."""
+        return self.observed[:, 0]
+
+    def begin(self, measured: dict[str, FloatArray], which: BoolArray, noise: FloatArray) -> None:
+        """First observation of some probes' episodes; a late sensor shows it until later ones arrive."""
+        self.observed[which] = observe(self.config, measured, noise)[which, None]
+
+    def update(
+        self, measured: dict[str, FloatArray], which: BoolArray, noise: FloatArray, rngs: Sequence[np.random.Generator]
+    ) -> None:
+        """Add an observation of some probes; the others keep their last ones.
+
+        Args:
+            measured: see ``observe``.
+            which: (N,) whose observations are new.
+            noise: (N, 2) standard normal draws.
+            rngs: the generator of each probe, for drop-outs.
+        """
+        new = observe(self.config, measured, noise)
+        if self.config.sensor_dropout > 0.0:
+            columns = [k for k, name in enumerate(self.config.observations) if name in DROPPING_OUT]
+            for k in np.flatnonzero(which).tolist():
+                if rngs[k].random() < self.config.sensor_dropout:
+                    new[k, columns] = self.observed[k, -1, columns]
+        self.observed[which] = np.concatenate([self.observed[:, 1:], new[:, None]], axis=1)[which]

@@ -1,79 +1,107 @@
-"""What a period is worth, what in it is unsafe, and when an episode ends.
+"""Rules of the task: what a control period of N probes is worth, what in it is unsafe, and when an episode ends.
 
-Everything is for N probes at once, one entry a probe. Costs count what is unsafe in a period, as in safe reinforcement
-learning: they enter neither the reward nor the simulation.
+Every array has one entry a probe. Costs count what is unsafe in a period, as in safe reinforcement learning: they enter
+neither the reward nor the simulation.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from functools import reduce
+from operator import or_
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from probe_env.arrays import BoolArray, FloatArray
-
-if TYPE_CHECKING:
-    from probe_env.envs.task.config import TaskConfig
+from probe_env.envs.task.config import TaskConfig
 
 END_TOLERANCE: Final = 1e-6
 """[m] of the helix's end at which an insertion is complete; actions are float32."""
+FAILURES: Final = ("lost_drive", "diverged")
+"""Endings before all is inspected."""
+ENDINGS: Final = ("complete", *FAILURES)
+"""Endings that terminate an episode. Each is a KPI, 0 or 1; an episode with none of them ran out of time."""
 
 
-class Ending(NamedTuple):
-    """Which of N episodes end with a period and how, (N,) each."""
+class Score(NamedTuple):
+    """What a control period of N probes is worth, and which episodes end with it; (N,) each."""
 
-    complete: BoolArray
-    lost_drive: BoolArray
-    diverged: BoolArray
-    out_of_time: BoolArray
+    rewards: dict[str, FloatArray]
+    """Named terms of the reward."""
+    costs: dict[str, FloatArray]
+    """Named terms of the cost, 0 or 1."""
+    endings: dict[str, BoolArray]
+    """Which episodes end, by how: see ``ending``."""
+    reward: FloatArray
+    """Sum of the terms; 0 for probes that were not stepped."""
 
     @property
     def terminated(self) -> BoolArray:
         """Ended by what happened."""
-        return np.asarray(np.logical_or.reduce([getattr(self, name) for name in ENDINGS]))
+        return reduce(or_, (self.endings[name] for name in ENDINGS))
 
     @property
     def truncated(self) -> BoolArray:
         """Ended by the time limit alone."""
-        return self.out_of_time & ~self.terminated
-
-    @property
-    def over(self) -> BoolArray:
-        """Ended either way."""
-        return self.terminated | self.out_of_time
+        return self.endings["out_of_time"] & ~self.terminated
 
     def kpis(self, k: int) -> dict[str, float]:
         """How the episode of probe ``k`` ended: 1 for what ended it, else 0."""
-        return {name: float(getattr(self, name)[k]) for name in (*FAILURES, "complete")}
+        return {name: float(self.endings[name][k]) for name in (*FAILURES, "complete")}
 
 
-ENDINGS: Final = tuple(name for name in Ending._fields if name != "out_of_time")
-"""How episodes end by what happened. Each is a KPI, 0 or 1; an episode with none of them ran out of time."""
-FAILURES: Final = tuple(name for name in ENDINGS if name != "complete")
-"""Those before all is inspected."""
+def score(
+    config: TaskConfig,
+    stepped: BoolArray,
+    endings: dict[str, BoolArray],
+    costs: dict[str, FloatArray],
+    *,
+    inspected: FloatArray,
+    squares: FloatArray,
+    air: FloatArray,
+    uninspected: FloatArray,
+    action_change: FloatArray,
+) -> Score:
+    """Score of a control period in which some probes were ``stepped`` (N,).
+
+    ``endings`` are those of ``ending`` and ``costs`` those of ``cost_terms``; the other arguments are as of
+    ``reward_terms``, but ``uninspected`` is what is left to inspect now [m] and counts where an episode ends.
+    """
+    left = np.where(any_ending(endings) & config.growing, uninspected, 0.0)
+    seconds = np.full(len(stepped), config.period)
+    rewards = reward_terms(
+        config, inspected, squares, seconds, air, left, endings["diverged"], action_change=action_change
+    )
+    return Score(rewards, costs, endings, np.where(stepped, sum(rewards.values()), 0.0))
 
 
 def ending(
     config: TaskConfig,
     inserted: FloatArray,
     helix_length: FloatArray,
-    slack_periods: npt.NDArray[np.integer[Any]],
+    slack_steps: npt.NDArray[np.integer[Any]],
     time: FloatArray,
     stepped: BoolArray,
     diverged: BoolArray,
-) -> Ending:
-    """Which of N episodes end with a period, and how; only those that were stepped do. Lengths in m, times in s.
+) -> dict[str, BoolArray]:
+    """Which of N episodes end with a period, by ``ENDINGS`` and "out_of_time"; only those that were stepped do.
 
-    ``slack_periods`` (N,) is how many periods in a row were ``slack``.
+    Lengths are in m, times in s; ``slack_steps`` (N,) counts the consecutive slack periods.
     """
     good = stepped & ~diverged
     complete = good & (inserted >= helix_length - END_TOLERANCE) & config.growing
-    lost = (slack_periods >= config.lost_drive_periods) & good & ~complete
-    return Ending(complete, lost, diverged & stepped, stepped & (time >= config.time_limit - 1e-9))
+    lost = (slack_steps >= config.lost_drive_periods) & good & ~complete
+    late = stepped & (time >= config.time_limit - 1e-9)
+    return {"complete": complete, "lost_drive": lost, "diverged": diverged & stepped, "out_of_time": late}
 
 
-def slack_in_a_row(before: npt.NDArray[np.integer[Any]], is_slack: BoolArray) -> npt.NDArray[np.integer[Any]]:
+def any_ending(endings: dict[str, BoolArray]) -> BoolArray:
+    """(N,) which episodes end at all."""
+    return reduce(or_, endings.values())
+
+
+def consecutive_slack(before: npt.NDArray[np.integer[Any]], is_slack: BoolArray) -> npt.NDArray[np.integer[Any]]:
     """Consecutive slack periods, after so many ``before`` and one that was slack or not."""
     return np.where(is_slack, before + 1, 0)
 
@@ -128,7 +156,7 @@ def cost_terms(
 def costs(
     config: TaskConfig, squares: FloatArray | float, seconds: FloatArray | float, air: FloatArray | float
 ) -> dict[str, FloatArray | float]:
-    """Cost by name of metres times their ``capped_square``, of seconds, and of air [m3]."""
+    """What is taken from the reward, by name: of metres times their ``capped_square``, of seconds and of air [m3]."""
     return {
         "vibration": config.vibration_weight * squares,
         "time": config.time_weight * seconds,
@@ -154,27 +182,44 @@ def metre_reward(config: TaskConfig, cost: FloatArray) -> FloatArray:
     return np.asarray(config.progress_weight - cost)
 
 
-class Outcome(NamedTuple):
-    """What a period or a whole insertion came to, (N,) each."""
+def uninspected_weight(config: TaskConfig) -> float:
+    """Cost of a metre that was not inspected: the greatest that inspecting one can cost.
 
-    inspected: FloatArray  # [m]
-    squares: FloatArray  # metres times ``capped_square`` of their vibration
-    seconds: FloatArray
-    air: FloatArray  # [m3]
-    uninspected: FloatArray  # [m] left where the episode ends, else 0
-    diverged: BoolArray
+    So neither ending early nor crawling to the time limit pays.
+    """
+    slowest, most_air = config.feed_speeds[0], config.air_supply_rates[1]
+    jerk = config.jerk_weight * 8.0 / slowest / config.period
+    return config.progress_weight + float(metre_cost(config, config.ratio_cap**2, slowest, most_air)) + jerk
 
 
 def reward_terms(
-    config: TaskConfig, outcome: Outcome, action_change: FloatArray | None = None
+    config: TaskConfig,
+    inspected: FloatArray | float,
+    squares: FloatArray | float,
+    seconds: FloatArray | float,
+    air: FloatArray | float,
+    uninspected: FloatArray | float = 0.0,
+    diverged: BoolArray | float = 0.0,
+    *,
+    action_change: FloatArray | None = None,
 ) -> dict[str, FloatArray]:
-    """Named terms (N,) of the reward, which is their sum; ``action_change`` (N, 2): the action less the one before."""
-    spent = costs(config, outcome.squares, outcome.seconds, outcome.air)
-    terms = {"progress": config.progress_weight * outcome.inspected}
-    terms |= {name: -np.asarray(cost) for name, cost in spent.items()}
+    """Named terms (N,) of the reward of a period or a whole insertion; the reward is their sum.
+
+    Args:
+        config: the weights.
+        inspected: [m].
+        squares: metres times the ``capped_square`` of their vibration.
+        seconds: [s].
+        air: used [m3].
+        uninspected: [m] left where the episode ends, else 0.
+        diverged: whether the simulation diverged.
+        action_change: (N, 2) the action less the one before; None: without the term "jerk".
+    """
+    terms = {"progress": np.asarray(config.progress_weight * inspected)}
+    terms |= {name: -np.asarray(cost) for name, cost in costs(config, squares, seconds, air).items()}
     if action_change is not None:
         terms["jerk"] = -config.jerk_weight * (action_change**2).sum(axis=1)
     return terms | {
-        "uninspected": -config.uninspected_weight * outcome.uninspected,
-        "diverged": -config.diverged_weight * outcome.diverged,
+        "uninspected": np.asarray(-uninspected_weight(config) * uninspected),
+        "diverged": np.asarray(-config.diverged_weight * diverged),
     }

@@ -9,13 +9,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from probe_env.arrays import FloatArray
-from probe_env.physics.methods import method_named, solver_named
+from probe_env.physics.methods import method_named
 from probe_env.physics.methods.factors import node_matrices
-from probe_env.physics.methods.ticm import OK
+from probe_env.physics.methods.method import Lane
 from probe_env.physics.model.chain import Chain, build_chain
 from probe_env.physics.model.drive import Drive
-from probe_env.physics.model.kernel_call import Sampling
-from probe_env.physics.model.state import State
+from probe_env.physics.model.state import State, check_state
 from probe_env.scene import Scene
 
 LAPACK = "newmark (LAPACK)"
@@ -81,15 +80,17 @@ def run_chain(
     """Advance a state in place by a method (or ``LAPACK``), a node sampled every so many steps."""
     chain, sensor, feed_speed, air_speed, per_pitch = driven
     scheme, solver = ("newmark", "banded") if method == LAPACK else (method, "ticm")
-    advance = method_named(scheme).build(chain, time_step, sensor, per_pitch, solver_named(solver))
+    kernel, root = method_named(scheme, solver), chain.node_count - 1
+    check_state(state, root, chain.node_count, kernel.memory)
+    constants = kernel.constants(chain, sensor, per_pitch, time_step)
     inputs = Drive(feed_speed, air_speed).inputs_of_steps(steps, time_step, chain.element_length, 0)
-    samples, counts = np.zeros((steps // every, 1, 4)), np.zeros(2, dtype=np.int64)
-    sampling = Sampling(every, every, np.array([node], dtype=np.int64), samples, np.zeros(chain.node_count), counts)
+    points, samples = np.array([node], dtype=np.int64), np.zeros((steps // every, 1, 4))
+    lane = Lane(constants, state, root, inputs, points, samples, np.zeros(0))
     begin = time.thread_time()
-    status, done, *_ = advance(inputs, chain.node_count - 1, state, sampling)
+    kernel.run([lane], time_step, per_pitch, every, every)
     spent = time.thread_time() - begin
-    held = status == OK and bool(np.isfinite(state.d).all())
-    return ChainRun(held, samples[:, 0], max(done, int(counts[0])), spent)
+    held = not lane.failed and bool(np.isfinite(state.d).all())
+    return ChainRun(held, samples[:, 0], max(lane.failed or steps, lane.iterations), spent)
 
 
 def linear_chain(chain: Chain, times: FloatArray, before: FloatArray, load: FloatArray) -> FloatArray:

@@ -6,9 +6,9 @@ is damped.
 
 from __future__ import annotations
 
-import numpy as np
 from numba import njit
 
+from probe_env.arrays import FloatArray
 from probe_env.physics.methods.factors import explicit_factors
 from probe_env.physics.methods.imex import (
     after_step,
@@ -41,16 +41,17 @@ from probe_env.physics.methods.lane_group import (
     A,
     B,
     C,
-    LaneKernel,
+    NodeLanes,
     T,
     V,
     X,
     Y,
 )  # fmt: skip
 from probe_env.physics.methods.lanes import any_less, load, splat, store, where_less
-from probe_env.physics.methods.method import lane_method
 from probe_env.physics.methods.stability import explicit_step
+from probe_env.physics.model.chain import Chain
 from probe_env.physics.model.drive import AIR, INPUTS, SLOPE, SPEED
+from probe_env.scene import Scene
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -129,11 +130,20 @@ def explicit_advance(
     return len(tops)
 
 
-EXPLICIT = lane_method(
-    "explicit",
-    LaneKernel(explicit_advance, lambda chain, _: explicit_factors(chain), np.float64),
-    order=1,
-    usual_step=5e-6,
-    stable_step=explicit_step,
-    contact_step=explicit_step,
-)
+class Explicit(NodeLanes):
+    """Central differences; four probes side by side."""
+
+    name = "explicit"
+    order = 1
+    usual_step = 5e-6
+    kernel = staticmethod(explicit_advance)
+
+    def stable_step(self, scene: Scene, nodes_per_pitch: int) -> float:
+        """Largest step [s] known to hold: that of the fastest mode."""
+        return explicit_step(scene, nodes_per_pitch)
+
+    contact_step = stable_step
+
+    def factors(self, chain: Chain, time_step: float) -> FloatArray:
+        """(2, 27) blocks of M^-1 K."""
+        return explicit_factors(chain)

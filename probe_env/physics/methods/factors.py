@@ -12,7 +12,7 @@ import numpy as np
 from numba.extending import register_jitable
 
 from probe_env.arrays import FloatArray
-from probe_env.physics.model.chain import Chain, element_blocks, element_stiffness
+from probe_env.physics.model.chain import Chain, cable_of, element_blocks, element_stiffness, linear_part
 
 MOST_FACTORS = 4000
 LONG_STEP = 5e-4  # [s]
@@ -67,17 +67,12 @@ def imex_factors(chain: Chain, time_step: float) -> FloatArray:
     S_0 = 1 + K_00, S_i = 1 + K_ii - K_i,i-1 U_{i-1}; E = S^-1, F = E K_i,i-1, U = E K_i,i+1 (of theta dt tau M^-1 K).
     Going up to the root g_i = E_i z_i - F_i g_{i-1}, coming back w_i = g_i - U_i w_{i+1}.
     """
-    return _imex_factors(_linear_part(chain), time_step)
-
-
-def _linear_part(chain: Chain) -> tuple[float, ...]:
-    """The numbers that the linear part depends on, so that probes alike share their factors."""
-    return tuple(float(value) for value in chain[: Chain._fields.index("frame_inertia") + 1])
+    return _imex_factors(linear_part(chain), time_step)
 
 
 @lru_cache(maxsize=256)
 def _imex_factors(linear: tuple[float, ...], time_step: float) -> FloatArray:
-    chain = Chain(*linear, *([0.0] * (len(Chain._fields) - len(linear))))  # type: ignore[arg-type]
+    chain = cable_of(linear)
     theta, tau = linear_weights(chain.damping_time, time_step)
     weight = theta * time_step * tau
     tip, inner, ahead, behind = (weight * block for block in node_matrices(chain))
@@ -119,7 +114,7 @@ def single_factors(chain: Chain, time_step: float) -> FloatArray:
     all nodes, the whole length adds up to it: m = 1.7e-7 at 1e-4 s lowers the first axial frequency of 60 m by 2 %.
     So F_xx and U_xx are moved together by units in the last place, and E_xx with them, until |m| is below ``FREE``.
     """
-    return _single_factors(_linear_part(chain), time_step)
+    return _single_factors(linear_part(chain), time_step)
 
 
 @lru_cache(maxsize=256)

@@ -24,7 +24,9 @@ not converged.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+import time
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -32,8 +34,7 @@ from numba import njit
 
 from probe_env.arrays import FloatArray
 from probe_env.physics.methods.factors import LONG_STEP, implicit_weights
-from probe_env.physics.methods.method import Advance, Method
-from probe_env.physics.methods.stability import any_step
+from probe_env.physics.methods.method import Lane, Method
 from probe_env.physics.methods.ticm import (
     DIVERGED,
     FASTMATH,
@@ -48,8 +49,8 @@ from probe_env.physics.methods.ticm import (
 )
 from probe_env.physics.model.chain import Chain, most_pressure, most_tension
 from probe_env.physics.model.drive import AIR, SLOPE, SPEED
-from probe_env.physics.model.kernel_call import Sampling
-from probe_env.physics.model.state import DIVERGED_RADIAL, State
+from probe_env.physics.model.state import DIVERGED_RADIAL
+from probe_env.scene import Scene
 
 TOLERANCE, LEAST_FORCE = 1e-6, 1e-4  # relative to the largest contact force [N], at least the second
 
@@ -354,18 +355,38 @@ def advance(
     return OK, len(inputs), -1, root
 
 
-def _prepare(chain: Chain, time_step: float, sensor: int, nodes_per_pitch: int) -> Advance:
-    weights = (time_step, *implicit_weights(chain.damping_time, time_step))
-    limits, places = couple_limits(chain, nodes_per_pitch), contact_places(chain)
-    work = workspace(chain.node_count)
+class Implicit(Method):
+    """Contact, friction and walls solved within the step, see above."""
 
-    def run(inputs: FloatArray, root: int, state: State, sampling: Sampling) -> tuple[int, int, int, int]:
-        result: tuple[int, int, int, int] = advance(
-            chain, weights, limits, places, inputs, root, state, work, *sampling
-        )
-        return result
+    name = "implicit"
+    order = 2
+    usual_step = 1e-4
 
-    return run
+    def stable_step(self, scene: Scene, nodes_per_pitch: int) -> float:
+        """Infinite: every step holds."""
+        return math.inf
 
+    contact_step = stable_step
 
-IMPLICIT = Method("implicit", _prepare, 2, 1e-4, stable_step=any_step, contact_step=any_step)
+    def constants(self, chain: Chain, sensor: int, nodes_per_pitch: int, time_step: float) -> tuple[Any, ...]:
+        """Chain, weights of the theta rule, limits of the couple and walls at every node."""
+        weights = (time_step, *implicit_weights(chain.damping_time, time_step))
+        return chain, weights, couple_limits(chain, nodes_per_pitch), contact_places(chain)
+
+    def run(
+        self, lanes: Sequence[Lane], time_step: float, nodes_per_pitch: int, first_sample: int, sample_every: int
+    ) -> float:
+        """See ``Method.run``; the group is one probe."""
+        (lane,) = lanes
+        nodes, counts = len(lane.state.d), np.zeros(2, dtype=np.int64)
+        tension_sum = lane.tension_sum if len(lane.tension_sum) else np.zeros(nodes)
+        begin = time.perf_counter()
+        arguments = (
+            *lane.constants, lane.inputs, lane.root, lane.state, workspace(nodes),
+            first_sample, sample_every, lane.points, lane.samples, tension_sum, counts,
+        )  # fmt: skip
+        status, done, _, lane.root = advance(*arguments)
+        seconds = time.perf_counter() - begin
+        lane.failed = done if status == DIVERGED else 0
+        lane.iterations, lane.unconverged = counts.tolist()
+        return seconds

@@ -1,4 +1,4 @@
-"""Probes of the fast scheme side by side, as many as there are lanes: packed, advanced, unpacked.
+"""Probes side by side, as many as there are lanes in a vector register: packed, advanced, unpacked.
 
 State lives with the probes, not in the lanes, so that any probes can share a group from one call to the next
 and a probe's result does not depend on the company it keeps.
@@ -7,8 +7,8 @@ and a probe's result does not depend on the company it keeps.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Hashable, Sequence
-from dataclasses import dataclass, field
+from abc import abstractmethod
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,9 +16,9 @@ import numpy.typing as npt
 
 from probe_env.arrays import FloatArray
 from probe_env.physics.methods.lanes import lane_count
+from probe_env.physics.methods.method import Lane, Method
 from probe_env.physics.model.chain import Chain
 from probe_env.physics.model.drive import APPEND, INPUTS
-from probe_env.physics.model.state import State
 
 # rows of the parameters; forces are per mass, moments per inertia
 (
@@ -35,117 +35,99 @@ FACTORS = 27
 A, B, C = 0, 9, 18
 
 
-@dataclass(frozen=True)
-class LaneKernel:
-    """What advances a group of lanes.
+class LaneMethod(Method):
+    """A method whose kernel advances several probes side by side.
 
     Attributes:
-        advance: the kernel, see ``imex.imex_advance``.
-        factors: (k, 27) of a chain and a time step [s].
-        precision: of the numbers in a lane.
-        alone_share: time that a probe by itself takes, of that of a full group.
+        kernel: compiled steps of a group.
     """
 
-    advance: Callable[..., Any]
-    factors: Callable[[Chain, float], FloatArray] | None
-    precision: npt.DTypeLike
-    alone_share: float = field(default=1.0, kw_only=True)
+    kernel: Callable[..., Any]
 
     @property
     def width(self) -> int:
         """Probes that share a group."""
         return lane_count(self.precision)
 
-    def kind(self, factors: Any) -> Hashable:
-        """Probes with the same can share a group."""
-        return None
+    def check_chain(self, chain: Chain, sensor: int, nodes_per_pitch: int) -> None:
+        """Raise ValueError if a chain has what the kernels of the lanes do not look at.
 
-    def constants(self, chain: Chain, sensor: int, nodes_per_pitch: int, time_step: float) -> tuple[FloatArray, Any]:
+        They know a float at every ``nodes_per_pitch``-th node from the tip, alike up to the sensor and alike behind it,
+        and neither loads nor supports.
+        """
+        for field in ("load", "support_stiffness"):
+            if getattr(chain, field).any():
+                raise ValueError(f"chain.{field} is not zero: {self.name} does not simulate it; newmark does")
+        index = np.arange(chain.node_count - 1)
+        is_float, first = index % nodes_per_pitch == 0, (sensor // nodes_per_pitch + 1) * nodes_per_pitch
+        alike = np.where(index <= sensor, 0, min(first, chain.node_count - 1))
+        for field in ("contact_stiffness", "drag", "lever", "outer_gap"):
+            values = getattr(chain, field)
+            expected = values[alike if field != "contact_stiffness" else np.zeros_like(index)]
+            bad = np.flatnonzero(is_float & (values[:-1] != expected))
+            if not len(bad) and field in ("contact_stiffness", "drag"):
+                bad = np.flatnonzero(~is_float & (values[:-1] != 0.0))
+            if len(bad):
+                raise ValueError(
+                    f"chain.{field}[{bad[0]}] = {values[bad[0]]:g}: {self.name} simulates floats at every"
+                    f" {nodes_per_pitch}th node from the tip that are alike up to the sensor and alike behind it;"
+                    " newmark simulates any"
+                )
+
+
+class NodeLanes(LaneMethod):
+    """A method whose rows are nodes: ``imex`` and ``explicit``."""
+
+    @abstractmethod
+    def factors(self, chain: Chain, time_step: float) -> FloatArray:
+        """(k, 27) matrices of the first k nodes from the tip; the last row serves all beyond."""
+
+    def constants(
+        self, chain: Chain, sensor: int, nodes_per_pitch: int, time_step: float
+    ) -> tuple[FloatArray, FloatArray]:
         """Parameters and factors of a probe."""
-        assert self.factors is not None
+        self.check_chain(chain, sensor, nodes_per_pitch)
         return lane_parameters(chain, sensor, nodes_per_pitch), self.factors(chain, time_step)
 
     def run(
-        self,
-        lanes: Sequence[Lane],
-        time_step: float,
-        per_pitch: int,
-        first_sample: int,
-        sample_every: int,
-        tension_sum: FloatArray | None = None,
-    ) -> tuple[list[int], float]:
-        """Advance as many probes as the kernel has lanes, or fewer, by the rows of their inputs.
-
-        Args:
-            lanes: the probes, with equally many steps and points.
-            time_step: [s].
-            per_pitch: nodes in a float pitch.
-            first_sample: steps until the first sample.
-            sample_every: steps between samples.
-            tension_sum: (n + 1,) of the first probe, gains the axial force of every sample.
-
-        Returns:
-            for each probe the step at which it diverged, counted from 1, or 0; seconds that the kernel took.
-        """
-        used, width, precision = len(lanes), self.width, self.precision
+        self, lanes: Sequence[Lane], time_step: float, nodes_per_pitch: int, first_sample: int, sample_every: int
+    ) -> float:
+        """See ``Method.run``."""
+        width, precision = self.width, self.precision
         entered = Entered.of(lanes, width, precision)
         parameters, roots = entered.parameters, entered.roots
-        held = entered.held_nodes(used)
+        held = entered.held_nodes(len(lanes))
         nodes = int(held.max()) + 3
-        factors = np.zeros((max(len(lane.factors) for lane in lanes), FACTORS, width), dtype=precision)
-        state = np.zeros((nodes, FIELDS, width), dtype=precision)
+        rows = max(len(lane.constants[1]) for lane in lanes)
+        packed_factors = np.zeros((rows, FACTORS, width), dtype=precision)
+        packed = np.zeros((nodes, FIELDS, width), dtype=precision)
         for k, lane in enumerate(lanes):
-            factors[: len(lane.factors), :, k] = lane.factors
-            factors[len(lane.factors) :, :, k] = lane.factors[-1]
-            state[: lane.root + 1, X : T + 1, k] = lane.state.d[: lane.root + 1]
-            state[: lane.root, VX : VT + 1, k] = lane.state.v[: lane.root]
-            state[: lane.root, GX : GT + 1, k] = lane.state.memory[: lane.root]
-            state[: lane.root, V, k] = lane.state.axial_force[: lane.root]
-        packed_samples = np.zeros((len(lanes[0].samples), len(lanes[0].points), 4, width))
-        packed_tension = np.zeros((0 if tension_sum is None else nodes, width))
+            own, factors = lane.state, lane.constants[1]
+            packed_factors[: len(factors), :, k] = factors
+            packed_factors[len(factors) :, :, k] = factors[-1]
+            packed[: lane.root + 1, X : T + 1, k] = own.d[: lane.root + 1]
+            packed[: lane.root, VX : VT + 1, k] = own.v[: lane.root]
+            packed[: lane.root, GX : GT + 1, k] = own.memory[: lane.root]
+            packed[: lane.root, V, k] = own.axial_force[: lane.root]
+        samples, tension = entered.scratch(lanes, nodes)
         pressed = (0, 0) if (parameters[CABLE] > 0.0).any() else (0,) if (parameters[TURN] > 0.0).any() else ()
         begin = time.perf_counter()
-        self.advance(
-            parameters, pressed, factors.reshape(-1, width), state.reshape(-1, width),
-            entered.inputs.reshape(-1, width), held[:-1].max(axis=1), held[:-1].min(axis=1), time_step, per_pitch,
-            (first_sample, sample_every, entered.points, packed_samples, packed_tension), roots, entered.failed,
+        self.kernel(
+            parameters, pressed, packed_factors.reshape(-1, width), packed.reshape(-1, width),
+            entered.inputs.reshape(-1, width), held[:-1].max(axis=1), held[:-1].min(axis=1), time_step, nodes_per_pitch,
+            (first_sample, sample_every, entered.points, samples, tension), roots, entered.failed,
         )  # fmt: skip
         seconds = time.perf_counter() - begin
+        entered.leave(lanes, samples)
         for k, lane in enumerate(lanes):
-            lane.root = int(roots[k])
             own, free = lane.state, lane.root
-            own.d[: free + 1], own.d[free + 1 :] = state[: free + 1, X : T + 1, k], 0.0
-            own.v[:free], own.v[free:] = state[:free, VX : VT + 1, k], 0.0
-            own.memory[:free], own.memory[free:] = state[:free, GX : GT + 1, k], 0.0
-            own.axial_force[:free], own.axial_force[free:] = state[:free, V, k], 0.0
-            lane.samples[...] = packed_samples[..., k]
-        if tension_sum is not None:
-            covered = min(nodes, len(tension_sum))
-            tension_sum[:covered] += packed_tension[:covered, 0]
-        return entered.failed[:used].tolist(), seconds
-
-
-@dataclass
-class Lane:
-    """One probe as the lanes need it; ``state``, ``root`` and ``samples`` change in place.
-
-    ``state.memory`` is what a kernel keeps of its last step (fields GX, GY, GT).
-
-    Attributes:
-        parameters, factors: see ``LaneKernel.constants``.
-        state, root: of the probe.
-        points: (p,) nodes that are sampled, -1 for the root.
-        inputs: (steps, 4) of the coming steps, see model/drive.py.
-        samples: (k, p, 4) of the coming steps.
-    """
-
-    parameters: FloatArray
-    factors: Any
-    state: State
-    root: int
-    points: npt.NDArray[np.int64]
-    inputs: FloatArray
-    samples: FloatArray
+            own.d[: free + 1], own.d[free + 1 :] = packed[: free + 1, X : T + 1, k], 0.0
+            own.v[:free], own.v[free:] = packed[:free, VX : VT + 1, k], 0.0
+            own.memory[:free], own.memory[free:] = packed[:free, GX : GT + 1, k], 0.0
+            own.axial_force[:free], own.axial_force[free:] = packed[:free, V, k], 0.0
+            covered = min(len(tension), len(lane.tension_sum))
+            lane.tension_sum[:covered] += tension[:covered, k]
+        return seconds
 
 
 class Entered(NamedTuple):
@@ -174,7 +156,7 @@ class Entered(NamedTuple):
         points = np.zeros((len(lanes[0].points), width), dtype=np.int64)
         roots, failed = np.zeros(width, dtype=np.int64), np.full(width, -1, dtype=np.int64)
         for k, lane in enumerate(lanes):
-            parameters[:, k], inputs[:, :, k], points[:, k] = lane.parameters, lane.inputs, lane.points
+            parameters[:, k], inputs[:, :, k], points[:, k] = lane.constants[0], lane.inputs, lane.points
             parameters[ROOT, k] = roots[k] = lane.root
             failed[k] = 0
         return cls(parameters, inputs, points, roots, failed)
@@ -184,6 +166,18 @@ class Entered(NamedTuple):
         held = np.tile(self.roots[:used], (len(self.inputs) + 1, 1))
         held[1:] += np.cumsum(self.inputs[:, APPEND, :used], axis=0).astype(np.int64)
         return held
+
+    def scratch(self, lanes: Sequence[Lane], rows: int) -> tuple[FloatArray, FloatArray]:
+        """Samples (k, p, 4, width), and sums of tension (rows, width) or, where no probe asks for them, (0, width)."""
+        first, width = lanes[0], len(self.roots)
+        rows = rows if any(len(lane.tension_sum) for lane in lanes) else 0
+        return np.zeros((len(first.samples), len(first.points), 4, width)), np.zeros((rows, width))
+
+    def leave(self, lanes: Sequence[Lane], samples: FloatArray) -> None:
+        """Give the probes what a kernel made of their roots, samples and failures."""
+        for k, lane in enumerate(lanes):
+            lane.root, lane.failed = int(self.roots[k]), int(self.failed[k])
+            lane.samples[...] = samples[..., k]
 
 
 def lane_parameters(chain: Chain, sensor: int, nodes_per_pitch: int) -> FloatArray:

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import partial
+import time
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from probe_env.arrays import FloatArray
 from probe_env.physics.methods import ticm
-from probe_env.physics.methods.method import Advance, Method, Prepare
+from probe_env.physics.methods.method import Lane, Method
 from probe_env.physics.model.chain import Chain
-from probe_env.physics.model.kernel_call import Sampling
 from probe_env.physics.model.state import State
 
 
@@ -73,42 +72,57 @@ Solver = Callable[[Chain, Scheme], Step]
 """A solver of the linear system (17)-(18), constant matrices prepared."""
 
 
-def _by_ticm(
-    scheme_of: Callable[[float], Scheme], chain: Chain, time_step: float, sensor: int, nodes_per_pitch: int
-) -> Advance:
-    scheme, work = scheme_of(time_step), workspace(chain.node_count)
+class Newmark(Method):
+    """Newmark's method, beta 1/4 and gamma 1/2.
 
-    def advance(inputs: FloatArray, root: int, state: State, sampling: Sampling) -> tuple[int, int, int, int]:
-        result: tuple[int, int, int, int] = ticm.advance(chain, scheme, inputs, root, state, work, *sampling[:5])
-        return result
+    Args:
+        solver: of the linear system of a step; default: the TICM, in one compiled loop.
+    """
 
-    return advance
+    name = "newmark"
+    order = 2
+    usual_step = 1e-4
+    scheme: Callable[[float], Scheme] = staticmethod(newmark)
+
+    def __init__(self, solver: Solver | None = None) -> None:
+        self.solver = solver
+
+    def constants(
+        self, chain: Chain, sensor: int, nodes_per_pitch: int, time_step: float
+    ) -> tuple[Chain, Scheme, Step | None]:
+        """Chain, coefficients and, with a solver, its step."""
+        scheme = self.scheme(time_step)
+        return chain, scheme, self.solver(chain, scheme) if self.solver else None
+
+    def run(
+        self, lanes: Sequence[Lane], time_step: float, nodes_per_pitch: int, first_sample: int, sample_every: int
+    ) -> float:
+        """See ``Method.run``; the group is one probe."""
+        (lane,) = lanes
+        chain, scheme, step = lane.constants
+        tension_sum = lane.tension_sum if len(lane.tension_sum) else np.zeros(chain.node_count)
+        work, sampling = workspace(chain.node_count), (lane.points, lane.samples, tension_sum)
+        begin = time.perf_counter()
+        if step is None:
+            status, done, _, lane.root = ticm.advance(
+                chain, scheme, lane.inputs, lane.root, lane.state, work, first_sample, sample_every, *sampling
+            )
+            lane.failed = done if status == ticm.DIVERGED else 0
+        else:  # the same loop in Python, for solvers that are not fused with it
+            for k, step_inputs in enumerate(lane.inputs):
+                if step(step_inputs, lane.root, lane.state, work) >= 0:
+                    lane.failed = k + 1
+                    break
+                lane.root = ticm.move_root(chain, step_inputs, lane.root, lane.state)
+                row, left = divmod(k + 1 - first_sample, sample_every)
+                if row >= 0 and left == 0:
+                    points, samples, tensions = sampling
+                    ticm.record(lane.state, lane.root, points, samples, row, tensions)
+        return time.perf_counter() - begin
 
 
-def _solved_by(scheme_of: Callable[[float], Scheme], solver: Solver) -> Prepare:
-    def prepare(chain: Chain, time_step: float, sensor: int, nodes_per_pitch: int) -> Advance:
-        return partial(_step_by_step, chain, solver(chain, scheme_of(time_step)), workspace(chain.node_count))
+class Wilson(Newmark):
+    """Wilson's method, theta 1.4."""
 
-    return prepare
-
-
-def _step_by_step(
-    chain: Chain, step: Step, work: Workspace, inputs: FloatArray, root: int, state: State, sampling: Sampling
-) -> tuple[int, int, int, int]:
-    """The loop of ``ticm.advance`` in Python, for solvers that are not fused with it."""
-    row, due = 0, sampling.first
-    for k, step_inputs in enumerate(inputs):
-        node = step(step_inputs, root, state, work)
-        if node >= 0:
-            return ticm.DIVERGED, k + 1, node, root
-        root = ticm.move_root(chain, step_inputs, root, state)
-        due -= 1
-        if due == 0:
-            due = sampling.every
-            ticm.record(state, root, sampling.points, sampling.samples, row, sampling.tension_sum)
-            row += 1
-    return ticm.OK, len(inputs), -1, root
-
-
-NEWMARK = Method("newmark", partial(_by_ticm, newmark), 2, 1e-4, solved_by=partial(_solved_by, newmark))
-WILSON = Method("wilson", partial(_by_ticm, wilson), 2, 1e-4, solved_by=partial(_solved_by, wilson))
+    name = "wilson"
+    scheme = staticmethod(wilson)

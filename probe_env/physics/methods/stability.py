@@ -52,11 +52,6 @@ def explicit_step(scene: Scene, nodes_per_pitch: int) -> float:
     return EXPLICIT_MARGIN * explicit_time_step(build_chain(scene, nodes_per_pitch))
 
 
-def any_step(scene: Scene, nodes_per_pitch: int) -> float:
-    """Infinite: every step holds."""
-    return math.inf
-
-
 def _contact_frequency(scene: Scene, nodes_per_pitch: int) -> float:
     """Of a float on its contact spring [rad/s]."""
     mass = scene.probe.line_density * scene.probe.float_pitch / nodes_per_pitch

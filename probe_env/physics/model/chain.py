@@ -169,3 +169,16 @@ def outer_start(chain: Chain, root: int) -> FloatArray:
     d[: root + 1, 1] = y
     d[:root, 2] = -chain.curvature * d[:root, 0] - np.gradient(y, chain.element_length)[:-1]
     return d
+
+
+def linear_part(chain: Chain) -> tuple[float, ...]:
+    """The numbers that the linear cable depends on, so that equal ones share their factors; see ``cable_of``."""
+    return tuple(float(value) for value in chain[: Chain._fields.index("friction")])
+
+
+def cable_of(linear: tuple[float, ...]) -> Chain:
+    """A chain with a ``linear_part`` and nothing else."""
+    none = np.zeros((2, 3))
+    arrays = (*[none[:, 0]] * 4, none, none)  # from contact_stiffness on
+    contact = [0.0] * (len(Chain._fields) - len(linear) - len(arrays))
+    return Chain(*linear, *contact, *arrays)  # type: ignore[arg-type]

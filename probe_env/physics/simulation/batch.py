@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
 import copy
-import itertools
-import time
 from collections.abc import Hashable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Final, Unpack
@@ -14,16 +11,14 @@ import numpy as np
 import numpy.typing as npt
 
 from probe_env.arrays import FloatArray
-from probe_env.errors import SimulationError
 from probe_env.machine import available_cores
 from probe_env.physics.methods import method_named
-from probe_env.physics.methods.lane_group import Lane
-from probe_env.physics.model.kernel_call import Sampling, check_array, check_points
-from probe_env.physics.simulation.options import Options, check_active, check_which
-from probe_env.physics.simulation.run import check_size
+from probe_env.physics.methods.method import Method
+from probe_env.physics.model.state import check_array
+from probe_env.physics.simulation.run import CHANNELS, Samples, check_size
 from probe_env.physics.simulation.saved import FORMAT, check_format, check_names, check_types
 from probe_env.physics.simulation.signals import window_statistics
-from probe_env.physics.simulation.simulator import STEPS_PER_CALL, Simulator
+from probe_env.physics.simulation.simulator import STEPS_PER_CALL, Options, Simulator, advance_together
 from probe_env.physics.simulation.window import Window
 from probe_env.scene import Scene
 from probe_env.settings import whole_steps
@@ -34,75 +29,42 @@ def groups_of(simulators: Sequence[Simulator], running: Sequence[int]) -> list[l
 
     So few that each by itself takes less time do that. All are of one method.
     """
-    if not running:
-        return []
-    method = method_named(simulators[running[0]].method)
-    kernel = method.lanes
     kinds: dict[Hashable, list[int]] = {}
     for k in sorted(running, key=lambda k: simulators[k].root):
-        kind = kernel.kind(simulators[k].lane_constants()[1]) if kernel else None
-        kinds.setdefault(kind, []).append(k)
+        kinds.setdefault(simulators[k].method.kind(simulators[k].constants), []).append(k)
     groups: list[list[int]] = []
     for same in kinds.values():
+        method = simulators[same[0]].method
         for start in range(0, len(same), method.width):
             group = same[start : start + method.width]
             groups += [[k] for k in group] if len(group) * method.alone_share < 1.0 else [group]
     return groups
 
 
-def advance_group(
-    simulators: Sequence[Simulator], group: Sequence[int], steps: int, every: int, signals: FloatArray
-) -> float:
-    """Advance the probes of a group; returns the seconds that the kernels took.
+def advance_group(members: Sequence[Simulator], steps: int, every: int) -> tuple[list[FloatArray], float]:
+    """Advance probes side by side; one that diverges stops, the others go on.
 
     Args:
-        simulators: of the batch.
-        group: places of those that advance.
+        members: the probes of a group.
         steps: to do.
         every: so many steps a sample is taken.
-        signals: (N, 2 + samples, 3) sensor x and y [m] and root tension [N] go here, after two samples of before.
+
+    Returns:
+        samples (k, 2, 4) of sensor and root of each, zero from its divergence on; seconds that the kernels took.
     """
-    members = [simulators[k] for k in group]
-    kernel = method_named(members[0].method).lanes
-    if kernel is None:
-        return _advance_one(members[0], steps, every, signals[group[0]])
-    none = np.zeros((0, 2, 4))
-    lanes = [
-        Lane(*s.lane_constants(), s.state, s.root, np.array([s.sensor, -1], dtype=np.int64), none[:, 0], none)
+    none = np.zeros(0)
+    samples = [
+        Samples(every, np.array([s.sensor, -1], dtype=np.int64), np.zeros((steps // every, 2, CHANNELS)), none)
         for s in members
     ]
-    done, seconds = 0, 0.0
-    while done < steps and group:
-        stretch = min(steps - done, STEPS_PER_CALL)
-        first = every - done % every
-        rows = max(0, (stretch - first) // every + 1)
-        for lane, simulator in zip(lanes, members, strict=True):
-            lane.inputs, lane.samples = simulator.inputs_of_steps(stretch), np.zeros((rows, 2, 4))
-        failed, spent = kernel.run(lanes, members[0].time_step, members[0].nodes_per_pitch, first, every)
-        seconds += spent
-        start = 2 + done // every
-        for k, lane, simulator, step in zip(group, lanes, members, failed, strict=True):
-            signals[k, start : start + rows, 0:2] = lane.samples[:, 0, 0:2]
-            signals[k, start : start + rows, 2] = lane.samples[:, 1, 3]
-            simulator.note_steps(step or stretch, lane.root, diverged=step > 0)
-        held = [not step for step in failed]
-        lanes, members = list(itertools.compress(lanes, held)), list(itertools.compress(members, held))
-        group = list(itertools.compress(group, held))
-        done += stretch
-    return seconds
-
-
-def _advance_one(simulator: Simulator, steps: int, every: int, signals: FloatArray) -> float:
-    """``advance_group`` for a method that does not run in lanes; ``signals`` are this probe's."""
-    points, samples = np.array([simulator.sensor, -1], dtype=np.int64), np.zeros((steps // every, 2, 4))
-    tension_sum, counts = np.zeros(simulator.chain.node_count), np.zeros(2, dtype=np.int64)
-    begin = time.perf_counter()
-    with contextlib.suppress(SimulationError):  # kept by the simulator, reported in the window
-        simulator.advance_steps(steps, Sampling(every, every, points, samples, tension_sum, counts))
-    seconds = time.perf_counter() - begin
-    signals[2:, 0:2] = samples[:, 0, 0:2]
-    signals[2:, 2] = samples[:, 1, 3]
-    return seconds
+    seconds = 0.0
+    for done in range(0, steps, STEPS_PER_CALL):
+        running = [k for k, simulator in enumerate(members) if not simulator.diverged]
+        if not running:
+            break
+        going, written = [members[k] for k in running], [samples[k] for k in running]
+        seconds += advance_together(going, written, done, min(steps - done, STEPS_PER_CALL))
+    return [own.rows for own in samples], seconds
 
 
 class SimulatorBatch:
@@ -128,7 +90,7 @@ class SimulatorBatch:
     def __init__(
         self,
         scenes: Sequence[Scene],
-        method: str = "imex",
+        method: str | Method = "imex",
         time_step: float = 2e-4,
         nodes_per_pitch: int = 4,
         *,
@@ -142,11 +104,12 @@ class SimulatorBatch:
             raise ValueError(f"threads = {threads!r} is outside the accepted range 1 and more")
         seeds = range(len(scenes)) if seeds is None else seeds
         self.threads: Final = threads or available_cores()
+        self.method: Final = method_named(method)
         self.simulators = [
-            Simulator(scene, method, time_step, nodes_per_pitch, seed=seed, **options)
+            Simulator(scene, self.method, time_step, nodes_per_pitch, seed=seed, **options)
             for scene, seed in zip(scenes, seeds, strict=True)
         ]
-        self.method, self.time_step, self.nodes_per_pitch = method, time_step, nodes_per_pitch
+        self.time_step, self.nodes_per_pitch = time_step, nodes_per_pitch
         self.kernel_seconds = 0.0
         # the two samples before a window, for differences across its start: every probe comes from rest
         self._before = [np.zeros((2, 3)) for _ in scenes]
@@ -155,7 +118,9 @@ class SimulatorBatch:
         return len(self.simulators)
 
     def __repr__(self) -> str:
-        return f"<SimulatorBatch of {len(self)} by {self.method}, step {self.time_step:g} s, {self.threads} threads>"
+        return (
+            f"<SimulatorBatch of {len(self)} by {self.method.name}, step {self.time_step:g} s, {self.threads} threads>"
+        )
 
     def snapshot(self) -> dict[str, Any]:
         """Everything that changes with time, as a copy for ``restore``, and what it belongs to."""
@@ -202,7 +167,9 @@ class SimulatorBatch:
         """
         if not len(which):
             raise ValueError("which is empty: name at least one probe")
-        check_which(which, len(self))
+        for place, k in enumerate(which):
+            if not isinstance(k, int | np.integer) or not -len(self) <= k < len(self):
+                raise ValueError(f"which[{place}] = {k!r} is none of {len(self)} probes, counted from 0")
         new = copy.copy(self)
         first = {k: self.simulators[k].branch((scenes or {}).get(k)) for k in set(which)}
         new.simulators = [first[k].branch() for k in which]
@@ -210,23 +177,15 @@ class SimulatorBatch:
         new.kernel_seconds = 0.0
         return new
 
-    def cost(self, duration: float) -> float:
-        """Processor time [s] that ``duration`` [s] of all will take about, over all threads, see ``Simulator.cost``.
-
-        A group costs what its longest probe does in full lanes.
-        """
-        groups = groups_of(self.simulators, [k for k in range(len(self)) if not self.simulators[k].diverged])
-        alone = method_named(self.method).alone_share
-        longest = ((max(self.simulators[k].cost(duration) for k in group), len(group)) for group in groups)
-        return sum(cost if count == 1 else cost / alone for cost, count in longest)
-
     def replace(self, index: int, simulator: Simulator) -> None:
         """Put another probe, at rest, in the place of one; it must share method, step and nodes a pitch."""
-        for name in ("method", "time_step", "nodes_per_pitch"):
-            if getattr(simulator, name) != getattr(self, name):
-                raise ValueError(
-                    f"{name} = {getattr(simulator, name)!r} differs from the batch's {getattr(self, name)!r}"
-                )
+        own, other = (
+            {"method": s.method.name, "time_step": s.time_step, "nodes_per_pitch": s.nodes_per_pitch}
+            for s in (self, simulator)
+        )
+        for name, value in other.items():
+            if value != own[name]:
+                raise ValueError(f"{name} = {value!r} differs from the batch's {own[name]!r}")
         self.simulators[index] = simulator
         self._before[index] = np.zeros((2, 3))
 
@@ -256,8 +215,9 @@ class SimulatorBatch:
         speeds, airs = _targets(feed_speed, count), _targets(air_supply_rate, count)
         for simulator, speed, air in zip(self.simulators, speeds, airs, strict=True):
             simulator.check_targets(speed, air)
-        check_active(active, count)
         chosen = np.ones(count, dtype=bool) if active is None else np.asarray(active, dtype=bool)
+        if chosen.shape != (count,):
+            raise ValueError(f"active of shape {chosen.shape}: one truth value for each of {count} probes")
         running = [k for k in range(count) if chosen[k] and not self.simulators[k].diverged]
         for k in running:  # all before any: the kernels check no bounds
             self._check_fits(k)
@@ -265,22 +225,27 @@ class SimulatorBatch:
         for k in running:
             self.simulators[k].set_targets(speeds[k], airs[k])
         signals = np.zeros((count, steps // every + 2, 3))
-        for k in running:
-            signals[k, :2] = self._before[k]
         groups = groups_of(self.simulators, running)
         with ThreadPoolExecutor(self.threads) as pool:  # starts a thread with the first group that it is given
             mapped = pool.map if len(groups) > 1 else map  # to hand over to a thread waits on a busy processor
-            seconds = mapped(lambda group: advance_group(self.simulators, group, steps, every, signals), groups)
-            self.kernel_seconds += sum(seconds)
-        for k in running:
-            self._before[k] = signals[k, -2:].copy()
+            members = ([self.simulators[k] for k in group] for group in groups)
+            for group, (samples, seconds) in zip(
+                groups, mapped(lambda group: advance_group(group, steps, every), members), strict=True
+            ):
+                self.kernel_seconds += seconds
+                for k, rows in zip(group, samples, strict=True):
+                    signals[k, :2], signals[k, 2:, :2], signals[k, 2:, 2] = (
+                        self._before[k],
+                        rows[:, 0, :2],
+                        rows[:, 1, 3],
+                    )
+                    self._before[k] = signals[k, -2:].copy()
         return self._window(signals, running, every, keep_samples)
 
     def _check_fits(self, k: int) -> None:
         simulator = self.simulators[k]
         try:
             simulator.check_fits()
-            check_points(np.array([simulator.sensor]), simulator.root)
             check_array("before", self._before[k], (2, 3))
         except ValueError as error:
             raise ValueError(f"probe {k}: {error}") from error

@@ -6,7 +6,7 @@ import itertools
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -15,12 +15,13 @@ from tqdm import tqdm
 from probe_env.arrays import FloatArray
 from probe_env.physics.methods import ticm
 from probe_env.physics.model.chain import Chain
-from probe_env.physics.model.kernel_call import CHANNELS, Sampling
 from probe_env.physics.model.state import State
 
 if TYPE_CHECKING:
     import pandas as pd
 
+CHANNELS: Final = 4
+"""Of a sample: x, y, theta and V."""
 QUANTITIES: Final = {"axial": "m", "radial": "m", "rotation": "rad", "tension": "N"}
 """Signals of a run and their units."""
 
@@ -172,6 +173,26 @@ MOST_SAMPLES: Final = 2**31
 """Bytes that the samples of one call may take."""
 
 
+class Samples(NamedTuple):
+    """Samples of p points, taken every so many steps of an advance; a kernel writes them.
+
+    Attributes:
+        every: so many steps.
+        points: (p,) nodes, -1: the root, which moves as the probe grows.
+        rows: (k, p, 4) x, y, theta and V.
+        tension_sum: (n + 1,), gains the axial force of every sample; empty: not asked for.
+    """
+
+    every: int
+    points: npt.NDArray[np.int64]
+    rows: FloatArray
+    tension_sum: FloatArray
+
+    def due(self, done: int, steps: int) -> FloatArray:
+        """The rows that fall due in so many steps after those that are done."""
+        return self.rows[done // self.every : (done + steps) // self.every]
+
+
 class Recording:
     """Signals of p points every so many steps of a run, from its start on, and snapshots when told to.
 
@@ -191,34 +212,28 @@ class Recording:
         self, chain: Chain, state: State, root: int, nodes: npt.NDArray[np.int64], steps: int, every: int
     ) -> None:
         check_size(steps // every + 1, len(nodes))
-        self.element_length, self.root, self.nodes, self.every = chain.element_length, root, nodes, every
-        self.samples = np.zeros((steps // every + 1, len(nodes), CHANNELS))
-        self.tension_sum = np.zeros(chain.node_count)
+        self.element_length, self.root = chain.element_length, root
+        self.signals = np.zeros((steps // every + 1, len(nodes), CHANNELS))
+        self.samples = Samples(every, nodes, self.signals[1:], np.zeros(chain.node_count))
         self.shapes: list[tuple[float, FloatArray, FloatArray]] = []
-        ticm.record(state, root, nodes, self.samples, 0, np.zeros(chain.node_count))
+        ticm.record(state, root, nodes, self.signals, 0, np.zeros(chain.node_count))
 
     def keep_shape(self, time: float, state: State) -> None:
         """Take a snapshot, at a time [s]."""
         self.shapes.append((time, state.d.copy(), state.axial_force.copy()))
 
-    def sampling(self, done: int) -> Sampling:
-        """What a kernel samples that goes on after so many steps of the run."""
-        rows = self.samples[done // self.every + 1 :]
-        counts = np.zeros(2, dtype=np.int64)
-        return Sampling(self.every - done % self.every, self.every, self.nodes, rows, self.tension_sum, counts)
-
     def as_run(self, first: int, time_step: float, points: Sequence[str | float]) -> Run:
         """All that was kept, of a run that began after ``first`` steps of ``time_step`` [s]."""
-        h, root, samples = self.element_length, self.root, self.samples
+        h, root, signals, (every, nodes, _, tension_sum) = self.element_length, self.root, self.signals, self.samples
         return Run(
-            time=(first + self.every * np.arange(len(samples))) * time_step,
-            axial=samples[:, :, 0],
-            radial=samples[:, :, 1],
-            rotation=samples[:, :, 2],
-            tension=samples[:, :, 3],
+            time=(first + every * np.arange(len(signals))) * time_step,
+            axial=signals[:, :, 0],
+            radial=signals[:, :, 1],
+            rotation=signals[:, :, 2],
+            tension=signals[:, :, 3],
             points=tuple(point_name(point) for point in points),
-            distance_from_tip=np.where(self.nodes < 0, root, self.nodes) * h,
-            mean_tension=self.tension_sum[root - 1 :: -1] / max(len(samples) - 1, 1),
+            distance_from_tip=np.where(nodes < 0, root, nodes) * h,
+            mean_tension=tension_sum[root - 1 :: -1] / max(len(signals) - 1, 1),
             position=(np.arange(root) + 0.5) * h,
             shapes=self._shapes() if self.shapes else None,
         )

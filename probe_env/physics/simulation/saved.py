@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from typing import Any, Final
 
-FORMAT: Final = 4
+FORMAT: Final = 5
 """Of snapshots and pickles; goes up whenever what a simulator, its drive or a batch holds changes."""
 
 

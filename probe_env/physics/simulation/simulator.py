@@ -3,27 +3,21 @@
 from __future__ import annotations
 
 import copy
-import csv
 import math
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from functools import lru_cache
-from importlib.resources import files
-from statistics import median
-from typing import Any, Final, Unpack
+from typing import Any, Final, Literal, TypedDict, Unpack
 
 import numpy as np
 
 from probe_env.arrays import FloatArray
 from probe_env.errors import SimulationError, StabilityWarning
-from probe_env.physics.methods import ON_NODES, method_named, solver_named, ticm
-from probe_env.physics.methods.method import Advance
+from probe_env.physics.methods import check_step, method_named, names_of
+from probe_env.physics.methods.method import Lane, Method
 from probe_env.physics.model.chain import air_speed, build_chain, outer_start, sensor_node
 from probe_env.physics.model.drive import Drive
-from probe_env.physics.model.kernel_call import Sampling, check_state
-from probe_env.physics.model.state import State, at_rest
-from probe_env.physics.simulation.options import DEFAULTS, Options, check_options, check_targets
-from probe_env.physics.simulation.run import Recording, Run, node_of, shown, snapshot_steps
+from probe_env.physics.model.state import State, at_rest, check_points, check_state
+from probe_env.physics.simulation.run import Recording, Run, Samples, node_of, shown, snapshot_steps
 from probe_env.physics.simulation.saved import FORMAT, check_format, check_names, check_same, check_types
 from probe_env.scene import Scene
 from probe_env.settings import check_known, whole_steps, within
@@ -32,24 +26,48 @@ STEPS_PER_CALL: Final = 2000
 """Longest stretch in one kernel call: how often progress is shown and an interrupt is heard."""
 
 
-@lru_cache
-def pitch_step_seconds(method: str, nodes_per_pitch: int) -> float:
-    """Processor time of a step of one pitch [s], lanes full, on the machine that measured it.
+class Options(TypedDict, total=False):
+    """How a probe starts and is fed; see ``Simulator`` for what they mean."""
 
-    A superelement has the same mesh whatever the number of places where it is seen.
+    solver: str
+    growing: bool
+    time_lapse: float
+    ramp: float
+    air_lag: float
+    perturbation: float
+    start: Literal["inner", "outer"]
 
-    Raises:
-        ValueError: no cost of the method was measured.
+
+DEFAULTS: Final[Options] = {
+    "solver": "ticm", "growing": False, "time_lapse": 1.0, "ramp": math.inf, "air_lag": 0.0, "perturbation": 0.0,
+    "start": "inner",
+}  # fmt: skip
+
+
+def advance_together(simulators: Sequence[Simulator], samples: Sequence[Samples], done: int, steps: int) -> float:
+    """Advance probes of one method and kind side by side; a probe by itself is a group of one.
+
+    A probe that diverges keeps its error, and its samples end there.
+
+    Args:
+        simulators: the probes, with equal steps and nodes a pitch.
+        samples: of each, with equal periods and as many points.
+        done: steps since the first of these began.
+        steps: to do, at most ``STEPS_PER_CALL`` by custom.
+
+    Returns:
+        seconds that the kernel took.
     """
-    text = files("probe_env").joinpath("data/measured_errors.csv").read_text()
-    of_node, per_pitch = [], []
-    for row in csv.DictReader(text.splitlines()):
-        if row["method"] == method and float(row["time_lapse"]) == 1.0:
-            per_pitch.append(float(row["cost_s"]) * float(row["time_step_s"]))
-            of_node.append(per_pitch[-1] / int(row["nodes_per_pitch"]))
-    if not per_pitch:
-        raise ValueError(f"method = {method!r}: its cost is not known until `probe-env chart` has measured it")
-    return median(of_node) * nodes_per_pitch if method in ON_NODES else median(per_pitch)
+    first = simulators[0]
+    lanes = [
+        Lane(s.constants, s.state, s.root, s.inputs_of_steps(steps), own.points, own.due(done, steps), own.tension_sum)
+        for s, own in zip(simulators, samples, strict=True)
+    ]
+    every = samples[0].every
+    seconds = first.method.run(lanes, first.time_step, first.nodes_per_pitch, every - done % every, every)
+    for simulator, lane in zip(simulators, lanes, strict=True):
+        simulator.note(lane, steps)
+    return seconds
 
 
 class Simulator:
@@ -88,14 +106,14 @@ class Simulator:
     BUILT: Final = ("method", "solver", "time_step", "nodes_per_pitch", "growing", "time_lapse", "ramp", "air_lag")
     """Those that a state depends on, with the scene."""
     FIXED: Final = frozenset(BUILT) | {
-        "scene", "perturbation", "seed", "start", "chain", "sensor", "stable_time_step", "_start_root", "_advance",
+        "scene", "perturbation", "seed", "start", "chain", "sensor", "stable_time_step", "_start_root", "constants",
     }  # fmt: skip
     """Attributes that nothing changes after the constructor; all others are in a snapshot."""
 
     def __init__(
         self,
         scene: Scene,
-        method: str = "newmark",
+        method: str | Method = "newmark",
         time_step: float = 1e-4,
         nodes_per_pitch: int = 4,
         *,
@@ -104,8 +122,19 @@ class Simulator:
     ) -> None:
         check_known(type(self).__name__, options, DEFAULTS)
         given = DEFAULTS | options
-        check_options(method, time_step, nodes_per_pitch, given)
-        self.scene, self.method, self.solver = scene, method, given["solver"]
+        self.method: Final = method_named(method, given["solver"])
+        within("time_step", time_step, 0.0, 1.0, "s", exclude_low=True)
+        check_step(self.method, time_step)
+        within("time_lapse", given["time_lapse"], 1.0, 1000.0, "")
+        within("ramp", given["ramp"], 0.0, math.inf, "m/s2", exclude_low=True)
+        within("air_lag", given["air_lag"], 0.0, 1e3, "s")
+        within("perturbation", given["perturbation"], 0.0, 1e-3, "m")
+        if given["start"] not in ("inner", "outer"):
+            raise ValueError(f"start = {given['start']!r} is not one of inner, outer")
+        whole = not isinstance(nodes_per_pitch, bool) and nodes_per_pitch == int(nodes_per_pitch)
+        if not (whole and 1 <= nodes_per_pitch <= 64):
+            raise ValueError(f"nodes_per_pitch = {nodes_per_pitch!r} is not a whole number from 1 to 64")
+        self.scene, self.solver = scene, given["solver"]
         self.time_step, self.nodes_per_pitch = float(time_step), int(nodes_per_pitch)
         self.growing, self.time_lapse = given["growing"], given["time_lapse"]
         self.ramp, self.air_lag = given["ramp"], given["air_lag"]
@@ -115,13 +144,13 @@ class Simulator:
         self.chain = build_chain(scene, self.nodes_per_pitch, longest)
         self._start_root = round(scene.inserted_length / h)
         self.sensor = sensor_node(scene, self.nodes_per_pitch)
-        self._advance = self._build()
+        self.constants = self._constants()
         self.check_targets(scene.feed_speed, scene.air_supply_rate)
-        self.stable_time_step = method_named(method).stable_step(scene, self.nodes_per_pitch)
+        self.stable_time_step = self.method.stable_step(scene, self.nodes_per_pitch)
         if self.time_step > self.stable_time_step * (1.0 + 1e-9):
             warnings.warn(
                 f"time_step = {time_step:g} s is beyond the known stable limit {self.stable_time_step:.2g} s of"
-                f" {method} for this scene; the run stops with SimulationError if it diverges",
+                f" {self.method.name} for this scene; the run stops with SimulationError if it diverges",
                 StabilityWarning,
                 stacklevel=2,
             )
@@ -129,7 +158,7 @@ class Simulator:
 
     def reset(self) -> None:
         """Back to rest at t = 0, at the scene's length, feed speed and air supply."""
-        self.state = at_rest(self.chain.node_count, method_named(self.method).memory)
+        self.state = at_rest(self.chain.node_count, self.method.memory)
         self.steps_done, self.root = 0, self._start_root
         self.iterations, self.unconverged_steps = 0, 0
         self.drive = Drive(
@@ -146,9 +175,7 @@ class Simulator:
             noise = np.random.default_rng(self.seed).normal(size=self.root)
             self.state.d[: self.root, 1] += self.perturbation * noise
         if self.start == "outer" or self.perturbation > 0.0:
-            self.state = method_named(self.method).at_rest(
-                self.chain, self.nodes_per_pitch, self.time_step, self.root, self.state.d
-            )
+            self.state = self.method.at_rest(self.chain, self.nodes_per_pitch, self.time_step, self.root, self.state.d)
 
     def branch(self, scene: Scene | None = None) -> Simulator:
         """Another one in the same state, which goes on by itself: what a controller tries out, see ``SimulatorBatch``.
@@ -164,7 +191,6 @@ class Simulator:
         if scene is None:
             new = object.__new__(type(self))
             new.__dict__.update(self.__dict__)
-            new._advance = self._build()  # it has arrays of its own
         else:
             new = Simulator(
                 scene, self.method, self.time_step, self.nodes_per_pitch, solver=self.solver, growing=self.growing,
@@ -184,15 +210,6 @@ class Simulator:
     def hold_length(self) -> None:
         """Feed without the length growing, until ``feed_length``: a probe that settles inspects nothing."""
         self.drive.growth = 0.0
-
-    def move_root(self, elements: int) -> None:
-        """Hold the probe so many elements further in, at a place between two floats: nodes at rest come in there.
-
-        Raises:
-            ValueError: the chain has no such node; one that may grow has more.
-        """
-        within("root", self.root + elements, 1, self.chain.node_count - 1, "elements")
-        self.root += elements
 
     def displace(self, radial: FloatArray) -> None:
         """Move the free nodes radially by (root,) displacements, tip first [m]: what is not known of a state.
@@ -236,54 +253,40 @@ class Simulator:
         return changing
 
     def _built(self) -> dict[str, Any]:
-        return {name: getattr(self, name) for name in self.BUILT} | {"scene": self.scene.model_dump()}
+        built = {name: getattr(self, name) for name in self.BUILT}
+        return built | {"method": self.method.name, "scene": self.scene.model_dump()}
 
     def _changing(self) -> dict[str, Any]:
         """All but what is declared as fixed: what was forgotten there is saved needlessly, never lost."""
         return {name: value for name, value in self.__dict__.items() if name not in self.FIXED}
 
     def __getstate__(self) -> dict[str, Any]:
-        """Everything but the compiled advance function, which is rebuilt."""
-        return {"format": FORMAT} | {name: value for name, value in self.__dict__.items() if name != "_advance"}
+        """Everything but the kernel's constants, which are made again."""
+        return {"format": FORMAT} | {name: value for name, value in self.__dict__.items() if name != "constants"}
 
     def __setstate__(self, saved: Mapping[str, Any]) -> None:
         state = dict(check_format(f"pickled {type(self).__name__}", saved))
         del state["format"]
         self.__dict__.update(state)
-        self._advance = self._build()
+        self.constants = self._constants()
 
     def _check_changing(self, what: str, changing: Mapping[str, Any]) -> None:
         counts = ("steps_done", "root", "iterations", "unconverged_steps")
         check_types(what, changing, {"state": State, "drive": Drive} | dict.fromkeys(counts, int))
         check_names(f"{what}: drive", vars(changing["drive"]), vars(self.drive))
-        memory = method_named(self.method).memory
-        check_state(changing["state"], changing["root"], self.chain.node_count, memory, f"{what}: state")
+        nodes, memory = self.chain.node_count, self.method.memory
+        check_state(changing["state"], changing["root"], nodes, memory, f"{what}: state")
         if not isinstance(changing["_error"], SimulationError | None):
             raise ValueError(f"{what}: _error = {changing['_error']!r} is not a SimulationError or None")
 
-    def _build(self) -> Advance:
-        return method_named(self.method).build(
-            self.chain, self.time_step, self.sensor, self.nodes_per_pitch, solver_named(self.solver)
-        )
+    def _constants(self) -> Any:
+        return self.method.constants(self.chain, self.sensor, self.nodes_per_pitch, self.time_step)
 
     def __repr__(self) -> str:
         return (
-            f"<Simulator by {self.method}, step {self.time_step:g} s, {self.inserted_length:.6g} m in {self.root}"
+            f"<Simulator by {self.method.name}, step {self.time_step:g} s, {self.inserted_length:.6g} m in {self.root}"
             f" elements, t = {self.time:.6g} s{', diverged' if self.diverged else ''}>"
         )
-
-    def cost(self, duration: float) -> float:
-        """Processor time [s] that ``duration`` [s] will take about, on the machine that measured the chart's costs.
-
-        One probe takes as long as a group that fills the lanes, or the share of it that its method declares. A probe
-        that grows is counted with the nodes that it
-        will have half-way, at the present feed speed.
-        """
-        growth = 0.5 * duration * self.drive.growth * self.drive.feed_speed_target
-        nodes = min(self.root + growth / self.chain.element_length, self.chain.node_count - 1)
-        method = method_named(self.method)
-        step = pitch_step_seconds(self.method, self.nodes_per_pitch) * method.width * method.alone_share
-        return float(nodes / self.nodes_per_pitch * duration / self.time_step * step)
 
     @property
     def time(self) -> float:
@@ -376,36 +379,31 @@ class Simulator:
                 if done == steps:
                     break
                 stretch = min([steps - done, STEPS_PER_CALL, *(s - done for s in stops if s > done)])
-                self.advance_steps(stretch, recording.sampling(done))
+                advance_together([self], [recording.samples], done, stretch)
+                if self._error is not None:
+                    raise self._error
                 done += stretch
                 tell(self.time)
         return recording.as_run(first, self.time_step, points)
-
-    def advance_steps(self, steps: int, sampling: Sampling) -> None:
-        """Steps in one go; raises if the state diverges."""
-        status, done, _, root = self._advance(self.inputs_of_steps(steps), self.root, self.state, sampling)
-        self.iterations += int(sampling.counts[0])
-        self.unconverged_steps += int(sampling.counts[1])
-        self.note_steps(done, root, diverged=status != ticm.OK)
-        if self._error is not None:
-            raise self._error
 
     def inputs_of_steps(self, steps: int) -> FloatArray:
         """Inputs (steps, 4) of the coming steps, see model/drive.py; the drive moves on to their end."""
         room, spare = self.chain.node_count - 1 - self.root, self.root - self.sensor - self.nodes_per_pitch
         return self.drive.inputs_of_steps(steps, self.time_step, self.chain.element_length, room, max(spare, 0))
 
-    def note_steps(self, steps: int, root: int, diverged: bool) -> None:
-        """Count steps that a kernel has done on this state, and keep the error if it diverged."""
-        self.steps_done += int(steps)
-        self.root = int(root)
+    def note(self, lane: Lane, steps: int) -> None:
+        """Count the steps that a kernel has done on this state, and keep the error if it diverged."""
+        self.steps_done += lane.failed or steps
+        self.root = int(lane.root)
+        self.iterations += lane.iterations
+        self.unconverged_steps += lane.unconverged
         # the lanes look at floats and the tip only: nothing that is not finite may go on from here
-        if diverged or not np.isfinite(self.state.d[: self.root]).all():
+        if lane.failed or not np.isfinite(self.state.d[: self.root]).all():
             size = np.abs(self.state.d[: self.root]).max(axis=1)
             worst = int(np.argmax(np.where(np.isfinite(size), size, np.inf)))
             distance = worst * self.chain.element_length
             self._error = SimulationError(
-                self.method, self.time_step, self.time, worst, distance, self.stable_time_step
+                self.method.name, self.time_step, self.time, worst, distance, self.stable_time_step
             )
 
     @property
@@ -419,8 +417,27 @@ class Simulator:
         return self._error
 
     def check_targets(self, feed_speed: float | None, air_supply_rate: float | None) -> None:
-        """Raise ValueError if a target is out of range."""
-        check_targets(self.scene, self.method, feed_speed, air_supply_rate)
+        """Raise ValueError if a target, [m/s] or [m3/s], is out of range or not for this method; None is none.
+
+        Warns where a probe is pressed or drawn back and the couple of (9) is not fit for it.
+        """
+        targets = (("feed_speed", feed_speed, 2.0, "m/s"), ("air_supply_rate", air_supply_rate, 0.2, "m3/s"))
+        for name, value, most, unit in targets:
+            if value is None:
+                continue
+            within(name, value, -most, most, unit)
+            if value < 0.0 and not self.method.draws_back:
+                able = names_of(lambda known: known.draws_back)
+                raise ValueError(
+                    f"{name} = {value!r} {unit}: {self.method.name} does not simulate the return; {able} do"
+                )
+            if value < 0.0 and self.scene.couple == "frame":
+                warnings.warn(
+                    f'{name} = {value:g} {unit} with couple = "frame": counted from the frame the couple of (9) feeds a'
+                    ' pressed probe, whose root force is some three times too large; couple = "tangent" does not',
+                    StabilityWarning,
+                    stacklevel=3,
+                )
 
     def set_targets(self, feed_speed: float | None, air_supply_rate: float | None) -> None:
         """New targets [m/s], [m3/s]; None leaves one as it is."""
@@ -437,15 +454,9 @@ class Simulator:
         """
         within("friction", friction, 0.0, 1.0, "")
         self.chain = self.chain._replace(friction=float(friction))
-        self._advance = self._build()
+        self.constants = self._constants()
 
     def check_fits(self) -> None:
         """Raise ValueError if the state is not one of this chain any more: its arrays are open to the user."""
-        check_state(self.state, self.root, self.chain.node_count, method_named(self.method).memory)
-
-    def lane_constants(self) -> tuple[FloatArray, Any]:
-        """Parameters and factors with which this probe runs in a lane."""
-        kernel = method_named(self.method).lanes
-        if kernel is None:
-            raise ValueError(f"method = {self.method!r} does not run in lanes")
-        return kernel.constants(self.chain, self.sensor, self.nodes_per_pitch, self.time_step)
+        check_state(self.state, self.root, self.chain.node_count, self.method.memory)
+        check_points(np.array([self.sensor]), self.root)

@@ -1,5 +1,7 @@
 """Slow motion near the tip: looking changes nothing, and what is drawn is what the simulator has."""
 
+import copy
+
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -7,9 +9,9 @@ from matplotlib.colors import to_rgb
 from scipy.ndimage import label
 
 from probe_env import Fidelity, Scene, Simulator
-from probe_env.envs.pictures.plate import ORANGE, RED
+from probe_env.envs.pictures.plate import GREEN, ORANGE, RED
 from probe_env.envs.pictures.strip import AXIAL, FRAME_PERIOD, FRAMES_PER_SECOND, SLOWED, Strip, Watch
-from probe_env.physics.simulation.signals import SAMPLE_PERIOD
+from probe_env.physics.simulation.signals import SAMPLE_PERIOD, dominant_frequencies
 
 NOTHING = np.zeros(0)
 
@@ -89,6 +91,31 @@ def test_looking_changes_nothing_and_sees_what_happens(env_id, fidelity):
     every = round(FRAME_PERIOD / SAMPLE_PERIOD)
     for shape, signal in ((motion.axial, motion.signal_axial), (motion.radial, motion.signal_radial)):
         assert (shape[1:, motion.sensor] == signal[every - 1 :: every]).all()
+
+
+@pytest.mark.slow
+def test_the_probe_s_own_frequency_is_in_the_pictures(ringing):
+    """The sensor's mark, found by its colour in 2 s of pictures, moves as the simulator's own signal, within a pixel.
+
+    Pictures 5 ms apart hold 100 Hz, and the bins of 0.5 Hz are those of the signal at 1 kHz. The probe rings at 15.0 to
+    15.5 Hz there (twelve members, both precisions).
+    """
+    own = copy.deepcopy(ringing).advance(duration=2.0, points=("sensor",)).axial[:, 0]
+    motion = seen(copy.deepcopy(ringing), 2.0)
+    strip = Strip(motion, "constant")
+    columns = []
+    for k in range(len(motion.time)):
+        green = mask(tube_of(strip.picture(k), strip), GREEN).sum(axis=0)
+        columns.append((np.arange(len(green)) * green).sum() / green.sum())
+    pixel = 1.0 / strip.axial_scale / AXIAL
+    drawn = np.array(columns) * pixel
+    assert np.ptp(drawn) > 4.0 * pixel  # it is seen to move
+    (frequency,), (expected,) = (
+        dominant_frequencies(signal, period, 1) for signal, period in ((drawn, FRAME_PERIOD), (own, SAMPLE_PERIOD))
+    )
+    assert frequency == pytest.approx(expected, abs=0.51)
+    assert 13.0 < expected < 17.0
+    assert drawn - drawn.mean() == pytest.approx(own[::5] - own[::5].mean(), abs=pixel)
 
 
 def test_walls_and_floats_are_drawn_to_scale(motion):

@@ -9,7 +9,7 @@ from scipy.stats import ks_1samp, norm, uniform
 from agents.vec_env import ProbeVecEnv
 from probe_env import Plant, TaskConfig
 from probe_env.envs.contexts import HELIX_DIAMETERS, Context
-from probe_env.envs.plants.tables import Normal, middle, quantiles
+from probe_env.envs.plants import Normal, middle, quantiles
 
 TEXT = """
 [tube]
@@ -211,12 +211,6 @@ def test_contexts_of_ones_own_stay_beside_a_tube(file):
     env = gym.make("probe_env/Insertion-v1", tube=file, contexts=own, **SETTINGS)
     assert env.reset(seed=0)[1]["context"] == Context.model_validate(own[0]).model_dump()
     assert env.unwrapped.config.scene.tube.inner_diameter == 22.1e-3
-
-
-def test_what_can_be_meant_is_taken():
-    Plant(feed={"feed_speed_step": 0.4}, air={"air_supply_step": 130.0 / 3600.0})  # one step, the range's end
-    Plant(task={"vibration_measure": "acceleration", "vibration_limit": 20.0})
-    Plant(contact={"friction": {"mean": 0.15, "std": 0.15}})
 
 
 def test_what_belongs_to_the_task_or_to_table_2_is_refused_beside_a_tube():

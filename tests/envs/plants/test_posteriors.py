@@ -82,11 +82,6 @@ def test_draws_without_a_file_are_checked_alike() -> None:
         Plant.model_validate({"posterior": {"friction": [0.1, 7.0]}})
 
 
-def test_a_missing_file_is_named(folder: Path) -> None:
-    with pytest.raises(FileNotFoundError, match="other"):
-        plant_of_text(folder, 'posterior = "other.json"')
-
-
 @pytest.mark.parametrize("misspecified", [False, True])
 def test_a_calibration_that_calls_itself_misspecified_is_warned_of(folder: Path, misspecified: bool) -> None:
     (folder / "calibration.json").write_text(json.dumps({"misspecified": misspecified, "draws": DRAWS}))

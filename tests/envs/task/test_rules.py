@@ -8,18 +8,14 @@ from probe_env import Scene
 from probe_env.envs.episodes import Episodes
 from probe_env.envs.task import (
     COSTS,
-    Outcome,
     TaskConfig,
     action_in,
-    action_of,
     capped_square,
     cost_terms,
     metre_cost,
     metre_reward,
     reward_terms,
-    share_between,
-    share_of,
-    slack_in_a_row,
+    uninspected_weight,
     value_at,
 )
 from probe_env.physics.closed_forms import buckling_load
@@ -37,9 +33,8 @@ def drawn():
 
 def test_a_metre_earns_what_its_seconds_and_its_air_are_charged():
     ratio, feed, air = drawn()
-    squares, none = capped_square(CONFIG, ratio), np.zeros(N)
-    outcome = Outcome(np.ones(N), squares, 1.0 / feed, air / feed, none, none.astype(bool))
-    charged = sum(reward_terms(CONFIG, outcome).values())
+    squares = capped_square(CONFIG, ratio)
+    charged = sum(reward_terms(CONFIG, np.ones(N), squares, 1.0 / feed, air / feed).values())
     assert metre_reward(CONFIG, metre_cost(CONFIG, squares, feed, air)) == pytest.approx(charged, rel=1e-13)
 
 
@@ -48,21 +43,13 @@ def test_leaving_a_metre_out_never_pays():
     ratio, feed, air = drawn()
     inspected = metre_reward(CONFIG, metre_cost(CONFIG, capped_square(CONFIG, ratio), feed, air))
     jerk = CONFIG.jerk_weight * 8.0 / feed / CONFIG.period  # both actions from one end to the other: 2^2 + 2^2
-    assert (inspected - jerk > -CONFIG.uninspected_weight).all()
+    assert (inspected - jerk > -uninspected_weight(CONFIG)).all()
     slowest, most = CONFIG.feed_speeds[0], CONFIG.air_supply_rates[1]
     worst = metre_cost(CONFIG, CONFIG.ratio_cap**2, slowest, most) + CONFIG.jerk_weight * 8.0 / slowest / CONFIG.period
-    assert CONFIG.uninspected_weight == pytest.approx(float(worst) + CONFIG.progress_weight, rel=1e-14)
+    assert uninspected_weight(CONFIG) == pytest.approx(float(worst) + CONFIG.progress_weight, rel=1e-14)
 
 
 RANGE, OTHER = (0.02, 0.4), (0.05, 0.25)
-
-
-def test_shares_and_values_are_each_other_s_inverse():
-    values = np.linspace(*RANGE, 7)
-    shares = share_between(values, RANGE)
-    assert value_at(shares, RANGE) == pytest.approx(values, rel=1e-15)
-    assert share_of(action_of(shares)) == pytest.approx(shares, abs=1e-15)
-    assert (share_of(np.array([-1.5, 1.5])) == [0.0, 1.0]).all()
 
 
 def test_an_action_asks_for_the_same_in_another_range_beyond_its_ends_too():
@@ -76,17 +63,8 @@ def test_an_action_asks_for_the_same_in_another_range_beyond_its_ends_too():
 
 def test_what_stands_still_in_one_task_stands_still_in_the_other():
     here, there = TaskConfig(feed_speeds=RANGE), TaskConfig(feed_speeds=OTHER)
-    standing = action_in(np.array([float(here.standing)]), RANGE, OTHER)
-    assert standing == pytest.approx(float(there.standing), abs=2.0**-22)  # both are float32
-
-
-def test_periods_without_drive_are_counted_in_a_row():
-    hangs = np.array([[1, 1, 0, 1, 1, 1, 1], [0, 1, 1, 1, 0, 0, 1]], dtype=bool)
-    rows, counts = np.zeros(2, dtype=int), []
-    for hanging in hangs.T:
-        rows = slack_in_a_row(rows, hanging)
-        counts.append(rows.tolist())
-    assert np.array(counts).T.tolist() == [[1, 2, 0, 1, 2, 3, 4], [0, 1, 2, 3, 0, 0, 1]]
+    standing = action_in(np.array([float(here.standstill)]), RANGE, OTHER)
+    assert standing == pytest.approx(float(there.standstill), abs=2.0**-22)  # both are float32
 
 
 FULL = (0.4, 30.0 / 3600.0)

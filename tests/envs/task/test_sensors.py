@@ -5,10 +5,11 @@ import numpy as np
 import pytest
 
 import probe_env
-from probe_env import Context, TaskConfig
+from probe_env import Context, Plant, TaskConfig
 from probe_env.envs.contexts import Ranges, draw_context
 from probe_env.envs.episodes.starts import checked_contexts, drawn_context
-from probe_env.envs.task.observations import LOAD_CELL, observe
+from probe_env.envs.task.observations import observe
+from probe_env.envs.task.scales import LOAD_CELL, OBSERVATIONS
 
 SHORT = {"growing": False, "period": 0.05, "time_limit": 1.0, "settle_time": 0.05}
 ACTIONS = np.random.default_rng(0).uniform(-1.0, 1.0, (8, 2)).astype(np.float32)
@@ -30,8 +31,8 @@ def test_noise_is_as_strong_as_the_task_says():
     """Of 4,000 draws the deviation is within 6 standard errors, 0.011 of it each (a chance of 2e-9)."""
     count = 4000
     names = ("radial_acceleration_rms_m_per_s2", "axial_acceleration_rms_m_per_s2", "radial_rms_m", "tension_mean_n")
-    others = ("feed_action", "air_action", "inserted_length", "remaining_length", "feed_speed", "air_supply_rate")
-    measured = {name: np.full(count, 2.0) for name in (*names, *others, "helix_diameter")}
+    others = set(OBSERVATIONS) - {"radial_acceleration", "axial_acceleration", "rf_noise", "root_tension"}
+    measured = {name: np.full(count, 2.0) for name in (*names, *others)}
     noise = np.random.default_rng(1).normal(size=(count, 2))
     columns = list(TaskConfig().observations)
     for rf, tension in ((0.05, 0.02), (0.2, 0.1), (0.0, 0.0)):
@@ -68,7 +69,7 @@ def test_the_step_must_hold_for_the_hardest_that_may_be_drawn():
     assert Ranges(contact_stiffness=(1e5, 3e6)).stiffest == 3e6
     for contexts in ({"contact_stiffness": (1e5, 1.8e5)}, [{"contact_stiffness": 1.8e5}, {"friction": 0.2}]):
         env = gym.make("probe_env/Insertion-v1", contexts=contexts).unwrapped
-        assert env.episodes.starts.stiffest.contact.stiffness == 1.8e5
+        assert env.episodes.sampler.stiffest.contact.stiffness == 1.8e5
 
 
 def test_what_is_wrong_with_contexts_is_named():
@@ -121,3 +122,24 @@ def test_an_oval_tube_has_less_room_in_the_plane_of_the_helix():
     assert gaps[0] - gaps[1] == pytest.approx(0.05 * 24.2e-3)
     with pytest.raises(ValueError, match=r"must be less than tube.inner_diameter = 0.0242 m less half of tube.ovality"):
         probe_env.Scene.fitted({"tube": {"ovality": 0.45}})
+
+
+def test_settings_are_accepted_in_groups_and_by_themselves():
+    """In Python, by ``gym.make`` and in a plant's file; the stored form is flat."""
+    grouped = {"reward": {"time_weight": 0.3}, "limits": {"tension_limit": 5.0}, "period": 0.5}
+    flat = {"time_weight": 0.3, "tension_limit": 5.0, "period": 0.5}
+    expected = TaskConfig(**flat)
+    assert TaskConfig(**grouped) == TaskConfig().model_copy(update=grouped) == expected
+    assert TaskConfig.model_validate_json(expected.model_dump_json()) == expected
+    assert Plant(task=grouped).configured().model_dump() == Plant(task=flat).configured().model_dump()
+    env = gym.make("probe_env/Inspection-v0", config=grouped | {"round_trip": {"passes": "in"}}, fidelity="fast")
+    assert env.unwrapped.config == expected.model_copy(update={"time_limit": 1800.0})  # its own defaults stand
+    assert all(info.description for info in TaskConfig.model_fields.values())
+    for wrong, message in (
+        ({"reward": {"tension_limit": 5.0}}, "reward = .* must be a table of vibration_measure, "),
+        ({"reward": {"time_weight": 0.3}, "time_weight": 0.3}, "reward.time_weight: given twice"),
+        ({"reward": {"time_weight": -1.0}}, "time_weight"),
+        ({"rewards": {}}, "rewards"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            TaskConfig(**wrong)

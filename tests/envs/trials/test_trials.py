@@ -12,6 +12,12 @@ from probe_env.envs.design_env import STUDY_FEED, DesignEnv
 from probe_env.envs.episodes.limits import check_simulable
 from probe_env.envs.task import FAILURES, TaskConfig
 from probe_env.envs.trials import (
+    AIR_LAG,
+    GENTLE,
+    MEASURE,
+    PERTURBATION,
+    SENSOR_START,
+    SETTLE,
     Candidate,
     check_candidate,
     check_measure,
@@ -21,8 +27,6 @@ from probe_env.envs.trials import (
     try_insertions,
     try_sections,
 )
-from probe_env.envs.trials.candidates import SENSOR_START
-from probe_env.envs.trials.sections import AIR_LAG, GENTLE, MEASURE, PERTURBATION, SETTLE
 from probe_env.schedule import Schedule
 
 IMPROVED = Design(guide_length=10.0, guide_float_diameter=0.020, carrier_float_diameter=0.016)

@@ -29,7 +29,7 @@ TWINS = {"imex32": "imex", "superelement32": "superelement"}
 def shape(method, time_step):
     steps, every = round(0.048 / time_step), round(1.6e-3 / time_step)
     start = CASE.start(method, time_step)
-    if METHODS[method].start:
+    if not METHODS[method].on_nodes:
         chain = CASE.driven.chain
         start = METHODS[method].at_rest(chain, 4, time_step, chain.node_count - 1, start.d)
     return run_chain(method, CASE.driven, time_step, start, steps, every).samples[:, CASE.point[1]]

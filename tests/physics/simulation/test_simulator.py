@@ -15,7 +15,7 @@ SCENE = Scene(carrier_length=10.0)
 
 def test_defaults_and_shapes():
     simulator = Simulator(SCENE)
-    assert (simulator.method, simulator.time_step, simulator.nodes_per_pitch) == ("newmark", 1e-4, 4)
+    assert (simulator.method.name, simulator.time_step, simulator.nodes_per_pitch) == ("newmark", 1e-4, 4)
     run = simulator.run(0.2)
     assert run.points == ("sensor", "tip")
     assert run.time == pytest.approx(np.arange(201) * 1e-3)
@@ -107,17 +107,3 @@ def test_one_wall_lets_the_tip_out_and_two_do_not(seeds):
         chance = of_another(deviation, 16, among=2, members=3)
         assert np.log(beyond).mean() > mean - chance
         assert walls == "inner" or np.log(beyond).mean() < mean + chance < 0.0
-
-
-def test_a_root_is_moved_where_the_chain_has_nodes():
-    """To a place between two floats: the length grows by the elements, and nothing is fed."""
-    simulator = Simulator(SCENE, growing=True)
-    length = simulator.inserted_length
-    simulator.move_root(2)
-    simulator.hold_length()
-    simulator.advance(duration=0.1)
-    assert simulator.inserted_length == pytest.approx(length + 2 * simulator.chain.element_length, abs=1e-12)
-    fixed = Simulator(SCENE)
-    with pytest.raises(ValueError, match=r"root = 502 elements is outside the accepted range 1 to 500 elements"):
-        fixed.move_root(2)
-    assert fixed.root == 500

@@ -1,10 +1,12 @@
-"""Runs superelement probes: packs their state into the lanes of a kernel, advances them, unpacks; see lane_group.py."""
+"""The superelement methods: pieces of cable condensed to their floats and a few modes, probes or floats in the lanes.
+
+State is packed into the lanes of a kernel, advanced and unpacked; see lane_group.py.
+"""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Hashable, Sequence
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -25,10 +27,11 @@ from probe_env.physics.methods.lane_group import (
     STIFFNESS,
     TENSION,
     Entered,
-    Lane,
-    LaneKernel,
+    LaneMethod,
     lane_parameters,
 )
+from probe_env.physics.methods.method import Lane
+from probe_env.physics.methods.stability import TABLE_2_DAMPING
 from probe_env.physics.methods.superelement.kernel import (
     MODES,
     PT,
@@ -41,9 +44,19 @@ from probe_env.physics.methods.superelement.kernel import (
     X,
     displacements,
     place_roots,
+    superelement_advance,
 )
 from probe_env.physics.methods.superelement.pitch import ENDS, MIRROR
-from probe_env.physics.methods.superelement.single_probe import BEHIND, DRAG, FLOATS, GAP, LEVER, LINKS, OWN
+from probe_env.physics.methods.superelement.single_probe import (
+    BEHIND,
+    DRAG,
+    FLOATS,
+    GAP,
+    LEVER,
+    LINKS,
+    OWN,
+    superelement_advance_single,
+)
 from probe_env.physics.methods.superelement.tables import (
     CONSTANTS,
     FACTORS,
@@ -53,11 +66,13 @@ from probe_env.physics.methods.superelement.tables import (
     LEAST,
     MOST,
     Tables,
+    longest_step,
     tables,
 )
-from probe_env.physics.model.chain import Chain
+from probe_env.physics.model.chain import Chain, build_chain
 from probe_env.physics.model.drive import APPEND
 from probe_env.physics.model.state import State, at_rest
+from probe_env.scene import Scene
 
 MOMENTUM = 3
 MEMORY = MOMENTUM + 4 * MOST
@@ -139,32 +154,6 @@ def in_blocks(rows: FloatArray, width: int, precision: npt.DTypeLike) -> FloatAr
     return np.ascontiguousarray(blocks.reshape(-1, width), dtype=precision)
 
 
-def released(chain: Chain, nodes_per_pitch: int, time_step: float, root: int, d: FloatArray) -> State:
-    """At rest with displacements d (n + 1, 3) [m, rad]; q is what fits best between the floats, p is zero.
-
-    The kernel's momentum still lacks tau K d, the last share of the elastic force.
-    """
-    own = tables(chain, nodes_per_pitch, time_step)
-    tau = linear_weights(chain.damping_time, time_step)[1]
-    state = at_rest(len(d), MEMORY)
-    floats = range(0, root, nodes_per_pitch)
-    state.d[:root] = d[:root]
-    for first in floats:
-        count = min(nodes_per_pitch, root - first)
-        behind = d[first + count] if first + count < root else np.zeros(3)
-        ends = np.concatenate([d[first], behind])
-        shape = own.shape[count - 1, 1:count].reshape(-1, ENDS + own.even + own.odd)
-        rest = d[first + 1 : first + count].ravel() - shape[:, :ENDS] @ ends
-        q = np.linalg.lstsq(shape[:, ENDS:], rest, rcond=None)[0]
-        state.memory[first, MOMENTUM : MOMENTUM + 2 * len(q) : 2] = q
-        constants = own.pieces[-1] if first + count < root else own.pieces[count - 1]
-        left, right = _elastic(constants, ends)
-        state.memory[first, :MOMENTUM] += tau * left
-        if first + count < root:
-            state.memory[first + count, :MOMENTUM] += tau * right
-    return state
-
-
 def _elastic(constants: FloatArray, ends: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Elastic force of a piece at its L and its R end."""
     flip = -MIRROR  # R's share of an even unknown, and of an odd one but for the sign
@@ -175,28 +164,72 @@ def _elastic(constants: FloatArray, ends: FloatArray) -> tuple[FloatArray, Float
 
 
 INSTEAD = "imex with 8 nodes a pitch simulates it"
+STABLE, UNSTABLE = 1.65, 1.8
+"""Omega dt of a float on its contact spring: up to which runs held (96 random probes and tubes of 10 to 50 m among
+them), and from which they diverge."""
+LONGEST_STEP = 5e-4
+"""[s] Soft contact would allow more; at 1e-3 s runs of 1e4 N/m diverge."""
 
 
-@dataclass(frozen=True)
-class PieceKernel(LaneKernel):
-    """What advances a group whose rows are floats with the piece of cable behind them.
+class Superelement(LaneMethod):
+    """A converged mesh condensed to its floats and a few modes of the cable between them; four probes side by side.
 
     Attributes:
         single: the kernel of one probe by itself, bit for bit the same.
     """
 
-    single: Callable[..., Any] = field(kw_only=True)
+    name = "superelement"
+    order = 2
+    usual_step = 2e-4
+    alone_share = 0.5
+    memory = MEMORY
+    on_nodes = False
+    draws_back = False
+    kernel = staticmethod(superelement_advance)
+    single: Callable[..., Any] = staticmethod(superelement_advance_single)
 
-    def kind(self, factors: Any) -> Hashable:
-        """The kernel that has room for a probe's modes: compiled otherwise, it rounds otherwise."""
-        return room(factors)
+    def stable_step(self, scene: Scene, nodes_per_pitch: int) -> float:
+        """Largest step [s] known to hold; 0: a cable with less damping than in the study's ensemble."""
+        damped = scene.probe.damping_time >= TABLE_2_DAMPING
+        step = longest_step(build_chain(scene, nodes_per_pitch), nodes_per_pitch, STABLE)
+        return min(step, LONGEST_STEP) if damped else 0.0
 
-    def constants(self, chain: Chain, sensor: int, nodes_per_pitch: int, time_step: float) -> tuple[FloatArray, Any]:
+    def contact_step(self, scene: Scene, nodes_per_pitch: int) -> float:
+        """Largest step [s] that explicit contact allows."""
+        return longest_step(build_chain(scene, nodes_per_pitch), nodes_per_pitch, UNSTABLE)
+
+    def at_rest(self, chain: Chain, nodes_per_pitch: int, time_step: float, root: int, d: FloatArray) -> State:
+        """At rest with displacements d (n + 1, 3) [m, rad]; q is what fits best between the floats, p is zero.
+
+        The kernel's momentum still lacks tau K d, the last share of the elastic force.
+        """
+        own = tables(chain, nodes_per_pitch, time_step)
+        tau = linear_weights(chain.damping_time, time_step)[1]
+        state = at_rest(len(d), MEMORY)
+        floats = range(0, root, nodes_per_pitch)
+        state.d[:root] = d[:root]
+        for first in floats:
+            count = min(nodes_per_pitch, root - first)
+            behind = d[first + count] if first + count < root else np.zeros(3)
+            ends = np.concatenate([d[first], behind])
+            shape = own.shape[count - 1, 1:count].reshape(-1, ENDS + own.even + own.odd)
+            rest = d[first + 1 : first + count].ravel() - shape[:, :ENDS] @ ends
+            q = np.linalg.lstsq(shape[:, ENDS:], rest, rcond=None)[0]
+            state.memory[first, MOMENTUM : MOMENTUM + 2 * len(q) : 2] = q
+            constants = own.pieces[-1] if first + count < root else own.pieces[count - 1]
+            left, right = _elastic(constants, ends)
+            state.memory[first, :MOMENTUM] += tau * left
+            if first + count < root:
+                state.memory[first + count, :MOMENTUM] += tau * right
+        return state
+
+    def constants(self, chain: Chain, sensor: int, nodes_per_pitch: int, time_step: float) -> tuple[FloatArray, Tables]:
         """Parameters and tables of a probe.
 
         Raises:
             ValueError: a scene in which the cable between floats is more than elastic.
         """
+        self.check_chain(chain, sensor, nodes_per_pitch)
         if chain.cable_stiffness > 0.0:
             raise ValueError(f"contact.cable = true: superelement has no nodes between floats; {INSTEAD}")
         if chain.couple_turn > 0.0:
@@ -208,19 +241,17 @@ class PieceKernel(LaneKernel):
         values[SENSOR] = sensor // nodes_per_pitch
         return values, own
 
+    def kind(self, constants: tuple[FloatArray, Tables]) -> Hashable:
+        """The kernel that has room for a probe's modes: compiled otherwise, it rounds otherwise."""
+        return room(constants[1])
+
     def run(
-        self,
-        lanes: Sequence[Lane],
-        time_step: float,
-        per_pitch: int,
-        first_sample: int,
-        sample_every: int,
-        tension_sum: FloatArray | None = None,
-    ) -> tuple[list[int], float]:
-        """See ``LaneKernel.run``."""
+        self, lanes: Sequence[Lane], time_step: float, nodes_per_pitch: int, first_sample: int, sample_every: int
+    ) -> float:
+        """See ``Method.run``."""
         if len(lanes) == 1:
-            return self._run_alone(lanes[0], time_step, per_pitch, first_sample, sample_every, tension_sum)
-        own: list[Tables] = [lane.factors for lane in lanes]
+            return self._run_alone(lanes[0], time_step, nodes_per_pitch, first_sample, sample_every)
+        per_pitch, own = nodes_per_pitch, [lane.constants[1] for lane in lanes]
         even, odd = room(own[0])
         used, width, precision = len(lanes), self.width, self.precision
         fields, last = MODES + 2 * (even + odd), max(len(t.factors) for t in own) - 1
@@ -234,36 +265,24 @@ class PieceKernel(LaneKernel):
             pack(state[:, :, k], lane.state, lane.root, per_pitch, table, even)
         stacked = root_tables(own, width, even, odd, last + 1)
         constants, factors, at = _placed(stacked, roots, rows, precision)
-        samples = np.zeros((len(lanes[0].samples), len(lanes[0].points), 4, width))
-        tension = np.zeros((0 if tension_sum is None else rows, width))
+        samples, tension = entered.scratch(lanes, rows)
         begin = time.perf_counter()
-        self.advance(
+        self.kernel(
             entered.parameters, constants, factors, at, last, ((0,) * even, (0,) * odd), state.reshape(-1, width),
             entered.inputs.reshape(-1, width), last_float[:-1].max(axis=1), last_float[:-1].min(axis=1), time_step,
             stacked, (first_sample, sample_every, entered.points, samples, tension), roots, entered.failed,
         )  # fmt: skip
         seconds = time.perf_counter() - begin
+        entered.leave(lanes, samples)
         for k, (lane, table) in enumerate(zip(lanes, own, strict=True)):
-            lane.root = int(roots[k])
             unpack(state[:, :, k], lane.state, lane.root, per_pitch, table, even)
             displacements(stacked, state.reshape(-1, width), fields, lane.root, k, lane.state.d)
-            lane.samples[...] = samples[..., k]
-        if tension_sum is not None:
-            covered = min(rows * per_pitch, lanes[0].root, len(tension_sum))
-            tension_sum[:covered] += np.repeat(tension[:, 0], per_pitch)[:covered]
-        return entered.failed[:used].tolist(), seconds
+            add_tension(lane, tension[:, k], per_pitch)
+        return seconds
 
-    def _run_alone(
-        self,
-        lane: Lane,
-        time_step: float,
-        per_pitch: int,
-        first_sample: int,
-        sample_every: int,
-        tension_sum: FloatArray | None,
-    ) -> tuple[list[int], float]:
+    def _run_alone(self, lane: Lane, time_step: float, per_pitch: int, first_sample: int, sample_every: int) -> float:
         """``run`` of one probe that has no company: its floats are in the lanes."""
-        table: Tables = lane.factors
+        own, table = lane.constants
         (even, odd), width, precision = room(table), self.width, self.precision
         fields = MODES + 2 * (even + odd)
         last_float = (lane.root + int(lane.inputs[:, APPEND].sum()) - 1) // per_pitch
@@ -271,7 +290,7 @@ class PieceKernel(LaneKernel):
         rows = np.zeros((blocks * width, fields))
         pack(rows, lane.state, lane.root, per_pitch, table, even)
         state = in_blocks(rows, width, precision)
-        parameters = np.repeat(lane.parameters[:, None], width, axis=1).astype(precision)
+        parameters = np.repeat(own[:, None], width, axis=1).astype(precision)
         stacked = root_tables([table], 1, even, odd, len(table.factors))
         constants = np.zeros((2 * CONSTANTS, width), dtype=precision)
         constants[:CONSTANTS] = stacked.pieces[0, -1][:, None]
@@ -281,23 +300,35 @@ class PieceKernel(LaneKernel):
         factors[: (settled + 1) * OWN] = in_blocks(table.factors[row, :OWN], width, precision)
         links = np.zeros((len(table.factors) + 1, LINKS), dtype=precision)
         links[:-1] = table.factors[:, OWN:]
-        samples, tension = np.zeros(lane.samples.shape), np.zeros(0 if tension_sum is None else len(rows))
-        floats = in_blocks(floats_of(lane.parameters, table, len(rows)), width, precision)
+        tension = np.zeros(len(rows) if len(lane.tension_sum) else 0)
+        floats = in_blocks(floats_of(own, table, len(rows)), width, precision)
         begin = time.perf_counter()
-        failed, lane.root = self.single(
+        lane.failed, lane.root = self.single(
             parameters, constants, factors, links, floats, ((0,) * even, (0,) * odd), state,
             lane.inputs.astype(precision), lane.root, time_step, stacked, np.zeros((2 * fields, 1), dtype=precision),
-            (first_sample, sample_every, lane.points, samples, tension),
+            (first_sample, sample_every, lane.points, lane.samples, tension),
         )  # fmt: skip
         seconds = time.perf_counter() - begin
         after = state.reshape(blocks, fields, width).transpose(0, 2, 1).reshape(-1, fields)
         unpack(after, lane.state, lane.root, per_pitch, table, even)
         displacements(stacked, after.reshape(-1, 1), fields, lane.root, 0, lane.state.d)
-        lane.samples[...] = samples
-        if tension_sum is not None:
-            covered = min(len(rows) * per_pitch, lane.root, len(tension_sum))
-            tension_sum[:covered] += np.repeat(tension, per_pitch)[:covered]
-        return [failed], seconds
+        add_tension(lane, tension, per_pitch)
+        return seconds
+
+
+class Superelement32(Superelement):
+    """The same in single precision; eight probes side by side."""
+
+    name = "superelement32"
+    least_step = 5e-5
+    precision = np.float32
+    alone_share = 0.33
+
+
+def add_tension(lane: Lane, tension: FloatArray, per_pitch: int) -> None:
+    """Add the axial forces of a probe's pieces to the sum at its nodes."""
+    covered = min(len(tension) * per_pitch, lane.root, len(lane.tension_sum))
+    lane.tension_sum[:covered] += np.repeat(tension, per_pitch)[:covered]
 
 
 def _placed(

@@ -17,7 +17,7 @@ from probe_env.arrays import FloatArray
 from probe_env.physics.methods.factors import linear_weights
 from probe_env.physics.methods.superelement.contact import Endless, contact_frequency, fitted_stiffness, most_tension
 from probe_env.physics.methods.superelement.pitch import ENDS, Pitch, condensed, halves, refined
-from probe_env.physics.model.chain import Chain
+from probe_env.physics.model.chain import Chain, cable_of, linear_part
 
 ELEMENTS = 16
 """Of the fine mesh in a pitch."""
@@ -76,17 +76,17 @@ def tables(chain: Chain, nodes_per_pitch: int, time_step: float) -> Tables:
         raise ValueError(
             f"nodes_per_pitch = {nodes_per_pitch!r} does not divide {ELEMENTS}, the elements in a pitch of superelement"
         )
-    return _tables(_linear(chain), float(chain.contact_stiffness.max()), nodes_per_pitch, time_step, ELEMENTS)
+    return _tables(linear_part(chain), float(chain.contact_stiffness.max()), nodes_per_pitch, time_step, ELEMENTS)
 
 
 def longest_step(chain: Chain, nodes_per_pitch: int, limit: float) -> float:
     """Step [s] at which omega dt of a float on its contact spring, with the cable tied to it, is ``limit``."""
-    return _longest_step(_linear(chain), float(chain.contact_stiffness.max()), nodes_per_pitch, limit)
+    return _longest_step(linear_part(chain), float(chain.contact_stiffness.max()), nodes_per_pitch, limit)
 
 
 @lru_cache(maxsize=256)
 def _longest_step(linear: tuple[float, ...], stiffness: float, places: int, limit: float) -> float:
-    chain = _cable(linear)
+    chain = cable_of(linear)
     whole = _piece(linear, places, ELEMENTS, places)
     row = Endless(_chosen(whole, *_modes(whole, chain, stiffness, places, ELEMENTS), 0.0))
 
@@ -94,18 +94,6 @@ def _longest_step(linear: tuple[float, ...], stiffness: float, places: int, limi
         return step * math.sqrt(stiffness * row.least_mass(chain.damping_time, step) ** -1) - limit
 
     return float(brentq(beyond, 1e-8, 1.0, rtol=1e-6))
-
-
-def _linear(chain: Chain) -> tuple[float, ...]:
-    """What the cable alone depends on, in an order that ``_cable`` undoes."""
-    return tuple(float(value) for value in chain[: Chain._fields.index("friction")])
-
-
-def _cable(linear: tuple[float, ...]) -> Chain:
-    none = np.zeros((2, 3))
-    arrays = (*[none[:, 0]] * 4, none, none)  # from contact_stiffness on
-    contact = [0.0] * (len(Chain._fields) - len(linear) - len(arrays))
-    return Chain(*linear, *contact, *arrays)  # type: ignore[arg-type]
 
 
 def _modes(whole: Pitch, chain: Chain, stiffness: float, places: int, elements: int) -> tuple[int, int]:
@@ -134,7 +122,7 @@ def _modes(whole: Pitch, chain: Chain, stiffness: float, places: int, elements: 
 
 @lru_cache(maxsize=1024)  # more than a batch has different tubes
 def _tables(linear: tuple[float, ...], stiffness: float, places: int, time_step: float, elements: int) -> Tables:
-    chain = _cable(linear)
+    chain = cable_of(linear)
     theta, tau = linear_weights(chain.damping_time, time_step)
     whole = _piece(linear, places, elements, places)
     even, odd = _modes(whole, chain, stiffness, places, elements)
@@ -161,7 +149,7 @@ def _tables(linear: tuple[float, ...], stiffness: float, places: int, time_step:
 @lru_cache(maxsize=64)
 def _piece(linear: tuple[float, ...], places: int, elements: int, count: int) -> Pitch:
     """A piece of ``count`` places with all its modes; a tube's friction, contact and drag have no part in it."""
-    mesh = refined(_cable(linear), places, elements, count)
+    mesh = refined(cable_of(linear), places, elements, count)
     return condensed(mesh, 3 * (mesh.node_count - 2))
 
 

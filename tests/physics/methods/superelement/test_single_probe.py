@@ -5,7 +5,7 @@ import pytest
 
 from probe_env import Scene, Simulator, SimulatorBatch, StabilityWarning
 from probe_env.physics.methods import METHODS
-from probe_env.physics.methods.lane_group import Lane
+from probe_env.physics.methods.method import Lane
 from probe_env.physics.simulation.batch import groups_of
 
 LENGTHS = (0.4, 0.8, 1.3, 7.0)
@@ -21,23 +21,23 @@ ROOMS = [
 """Every room, and each precision with more than the usual one: those kernels take 20 s to compile."""
 
 
-def lane_of(simulator, steps, rows, points):
-    state = type(simulator.state)(*(values.copy() for values in simulator.state))
-    inputs = simulator.inputs_of_steps(steps)
-    return Lane(*simulator.lane_constants(), state, simulator.root, points, inputs, np.zeros((rows, len(points), 4)))
-
-
 def both_ways(scene, method, time_step, steps, **options):
     """What a kernel gives of a probe by itself, and of the same probe in the midst of two others."""
-    kernel, results = METHODS[method].lanes, []
+    results = []
     longer = scene.model_copy(update={"carrier_length": scene.carrier_length + 1.2})
     for company in ((), (longer, longer)):
         members = [Simulator(s, method, time_step, seed=3, perturbation=1e-6, **options) for s in (scene, *company)]
         points = np.array([0, members[0].sensor, members[0].sensor + 2, members[0].root - 1, -1], dtype=np.int64)
-        lanes = [lane_of(member, steps, steps // 5, points) for member in members]
-        tension = np.zeros(members[0].chain.node_count)
-        failed, _ = kernel.run(lanes, time_step, 4, 5, 5, tension)
-        results.append((failed[0], lanes[0].root, lanes[0].samples, tension, *lanes[0].state))
+        lanes = [
+            Lane(
+                s.constants, s.state, s.root, s.inputs_of_steps(steps), points, np.zeros((steps // 5, len(points), 4)),
+                np.zeros(s.chain.node_count),
+            )
+            for s in members
+        ]  # fmt: skip
+        METHODS[method].run(lanes, time_step, 4, 5, 5)
+        first = lanes[0]
+        results.append((first.failed, first.root, first.samples, first.tension_sum, *first.state))
     return results
 
 
@@ -55,7 +55,7 @@ def test_it_is_the_probe_that_has_company(method, length, stiffness):
             assert np.abs(own).max() > 0.0
             assert (own == other).all()
     held = Simulator(scene, method, 5e-5)
-    assert METHODS[method].lanes.kind(held.lane_constants()[1]) == MODES[stiffness]
+    assert METHODS[method].kind(held.constants) == MODES[stiffness]
     assert alone[1] > held.root + 8 * 4  # the root has gone beyond the lanes of a block
 
 
@@ -68,10 +68,7 @@ def test_it_diverges_in_the_same_step(method):
 
 
 def test_so_few_run_alone_that_each_takes_less_time():
-    """And cost what they do: of ten probes a group and two alone, in double precision two groups and two together."""
+    """Of ten probes a group and two alone, in double precision two groups and two together."""
     for method, grouped in (("superelement32", [8, 1, 1]), ("superelement", [4, 4, 2]), ("imex32", [8, 2])):
         batch = SimulatorBatch([Scene(carrier_length=5.0)] * 10, method)
         assert [len(group) for group in groups_of(batch.simulators, list(range(10)))] == grouped
-        share, own = METHODS[method].alone_share, batch.simulators[0].cost(1.0)
-        whole = sum(count > 1 for count in grouped)
-        assert batch.cost(1.0) == pytest.approx(own * (grouped.count(1) + whole / share))

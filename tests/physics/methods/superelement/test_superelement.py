@@ -5,13 +5,13 @@ import pytest
 from numpy.testing import assert_allclose
 
 from probe_env import Scene, Simulator, SimulatorBatch
-from probe_env.envs.trials.sections import HARDEST
+from probe_env.envs.trials import HARDEST
 from probe_env.physics.closed_forms.bare_chains import Driven, bent_chain, run_chain
 from probe_env.physics.methods import METHODS
 from probe_env.physics.methods.factors import linear_weights
 from probe_env.physics.methods.superelement import contact, tables
 from probe_env.physics.methods.superelement.pitch import ENDS, refined
-from probe_env.physics.model.chain import build_chain
+from probe_env.physics.model.chain import build_chain, linear_part
 
 STEP = 2e-4
 
@@ -35,7 +35,7 @@ def test_the_sweeps_solve_the_chain(places):
     theta, tau = linear_weights(chain.damping_time, STEP)
     weight = theta * STEP * tau
     own = tables.tables(chain, 4, STEP)
-    whole = [tables._piece(tables._linear(chain), 4, tables.ELEMENTS, n) for n in (4, places)]
+    whole = [tables._piece(linear_part(chain), 4, tables.ELEMENTS, n) for n in (4, places)]
     cut = [tables._chosen(piece, own.even, own.odd, weight) for piece in whole]
     pieces = [cut[0]] * 6 + [cut[1]]
     fine = refined(chain, 4, tables.ELEMENTS, 4)
@@ -74,7 +74,7 @@ def test_with_all_modes_it_is_the_mesh(monkeypatch):
     place = np.arange(pitches + 1) / pitches
     ends = np.stack([0.0 * place, 1e-3 * np.cos(0.5 * np.pi * place) ** 4, 0.0 * place], axis=1)
     ends[-1] = 0.0
-    shape = tables._chosen(tables._piece(tables._linear(coarse), 1, 2, 1), 1, 2, 0.0).shape[3:6, :ENDS]
+    shape = tables._chosen(tables._piece(linear_part(coarse), 1, 2, 1), 1, 2, 0.0).shape[3:6, :ENDS]
     d[::2] = ends
     d[1::2] = np.hstack([ends[:-1], ends[1:]]) @ shape.T  # no mode is in it
     ended = {}
@@ -95,7 +95,7 @@ def test_the_compliance_in_steps_is_that_of_the_steps():
     """
     chain = build_chain(Scene(), 4)._replace(frame_inertia=0.0)
     theta, tau = linear_weights(chain.damping_time, STEP)
-    piece = tables._chosen(tables._piece(tables._linear(chain), 4, tables.ELEMENTS, 4), 2, 1, 0.0)
+    piece = tables._chosen(tables._piece(linear_part(chain), 4, tables.ELEMENTS, 4), 2, 1, 0.0)
     count, width = contact.PHASES, 6
     whole = np.zeros((2, count * width, count * width))
     for k in range(count):
@@ -130,7 +130,7 @@ def test_contact_is_fitted_where_the_step_shows():
     share = [tables.tables(chain, 4, step).stiffness / 1e5 for step in (2e-4, 1e-4, 5e-5, 2e-5)]
     assert_allclose(share, [0.927, 0.977, 0.988, 0.991], atol=2e-3)
     more = contact.fitted_stiffness(
-        *(tables._piece(tables._linear(chain), 4, 16, 4).only(range(m)) for m in (14, 12)), 1e5, 5e-5, 1e-6
+        *(tables._piece(linear_part(chain), 4, 16, 4).only(range(m)) for m in (14, 12)), 1e5, 5e-5, 1e-6
     )
     assert more == pytest.approx(1e5, rel=2e-3)
 
@@ -174,7 +174,7 @@ def test_lengths_modes_and_calls_change_no_bit():
     method = "superelement"
     options = {"growing": True, "time_lapse": 30.0, "perturbation": 1e-6}
     batch = SimulatorBatch(scenes, method, 1e-4, threads=1, **options)
-    kinds = {METHODS[method].lanes.kind(s.lane_constants()[1]) for s in batch.simulators}
+    kinds = {METHODS[method].kind(s.constants) for s in batch.simulators}
     assert len(kinds) == 2
     for speed in (0.2, 0.13):
         batch.advance(speed, None, 0.05)

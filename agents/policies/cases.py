@@ -33,7 +33,7 @@ class Named(NamedTuple):
 TABLE_2: Final = Named("table 2", "", "")
 
 
-class Place(NamedTuple):
+class EvaluationCase(NamedTuple):
     """An evaluation case: task, tubes, vibration map, and the plant."""
 
     config: TaskConfig
@@ -42,7 +42,7 @@ class Place(NamedTuple):
     tube: Named = TABLE_2
 
 
-def place_of(plant: Plant | None, split: Split, limit: int = 0, vibration: VibrationMap | None = None) -> Place:
+def case_of(plant: Plant | None, split: Split, limit: int = 0, vibration: VibrationMap | None = None) -> EvaluationCase:
     """A shipped list of tubes, or as many tubes sampled from the ranges of a plant, others for each list.
 
     Args:
@@ -54,29 +54,12 @@ def place_of(plant: Plant | None, split: Split, limit: int = 0, vibration: Vibra
     Raises:
         ValueError: no such list, or a limit out of range.
     """
-    known, most = vibration or stored_map(), SPLIT_SIZES[split]
+    vibration, most = vibration or stored_map(), SPLIT_SIZES[split]
     if plant is None:
-        return Place(TaskConfig(), spread_contexts(split, limit), known)
+        return EvaluationCase(TaskConfig(), spread_contexts(split, limit), vibration)
     if not 0 <= limit <= most:
         raise ValueError(f"limit = {limit!r} is outside the accepted range 0 (all) to {most}")
-    return Place(plant.configured(), plant.contexts(limit or most, tuple(SPLIT_SIZES).index(split)), known)
-
-
-def place_at(tube: Path | None, split: Split, limit: int = 0) -> Place:
-    """The case of a plant's file or name, with the map beside it; None: the shipped list.
-
-    Raises:
-        FileNotFoundError: no such file.
-        ValueError: the file or its map is not valid, or as ``place_of``.
-    """
-    plant = plant_at(tube)
-    place = place_of(plant, split, limit, map_of(tube, plant))
-    if tube is None or plant is None:
-        return place
-    name = checked_name(name_of(tube), "a tube's file is called")
-    bore, length = 1e3 * plant.tube.inner_diameter, plant.tube.helix_length
-    digest = hashlib.sha256(plant.model_dump_json().encode()).hexdigest()[:12]
-    return place._replace(tube=Named(name, digest, f"{name} (bore {bore:g} mm, helix {length:g} m)"))
+    return EvaluationCase(plant.configured(), plant.contexts(limit or most, tuple(SPLIT_SIZES).index(split)), vibration)
 
 
 def plant_at(tube: Path | None) -> Plant | None:
@@ -118,10 +101,10 @@ def with_probe(config: TaskConfig, name: str) -> TaskConfig:
     return config.model_copy(update={"scene": {"probe": probe, "carrier_length": carrier}})
 
 
-def both_ways(place: Place, inspects: str) -> Place:
+def both_ways(case: EvaluationCase, inspects: str) -> EvaluationCase:
     """The same case with a task of both passes and twice the time; ``inspects`` as in ``TaskConfig``."""
-    update = {"passes": "both", "inspects": inspects, "time_limit": 2.0 * place.config.time_limit}
-    return place._replace(config=place.config.model_copy(update=update))
+    update = {"passes": "both", "inspects": inspects, "time_limit": 2.0 * case.config.time_limit}
+    return case._replace(config=case.config.model_copy(update=update))
 
 
 def load_case(
@@ -130,7 +113,7 @@ def load_case(
     limit: int = 0,
     passes: Literal["in", "both"] | None = None,
     inspects: Literal["in", "back", "best"] | None = None,
-) -> Place:
+) -> EvaluationCase:
     """The task, tubes and map of a plant, or of the shipped lists, for the passes to be made.
 
     Args:
@@ -144,13 +127,18 @@ def load_case(
         FileNotFoundError: no such file.
         ValueError: an argument or a file is not valid.
     """
-    place = place_at(tube, split, limit)
-    if (passes or place.config.passes) == "both":
-        if not place.config.returns:
-            return both_ways(place, inspects or "best")
-        update = {"inspects": inspects} if inspects else {}
-    elif inspects:
-        raise ValueError(f"inspects = {inspects!r} needs --passes both: the probe is not drawn back")
-    else:
-        update = {"passes": "in"}
-    return place._replace(config=place.config.model_copy(update=update))
+    plant = plant_at(tube)
+    case = case_of(plant, split, limit, map_of(tube, plant))
+    if tube is not None and plant is not None:
+        name = checked_name(name_of(tube), "a tube's file is called")
+        bore, length = 1e3 * plant.tube.inner_diameter, plant.tube.helix_length
+        digest = hashlib.sha256(plant.model_dump_json().encode()).hexdigest()[:12]
+        case = case._replace(tube=Named(name, digest, f"{name} (bore {bore:g} mm, helix {length:g} m)"))
+    if (passes or case.config.passes) == "in":
+        if inspects:
+            raise ValueError(f"inspects = {inspects!r} needs --passes both: the probe is not drawn back")
+        return case._replace(config=case.config.model_copy(update={"passes": "in"}))
+    if not case.config.returns:
+        return both_ways(case, inspects or "best")
+    update = {"inspects": inspects} if inspects else {}
+    return case._replace(config=case.config.model_copy(update=update))

@@ -66,16 +66,14 @@ def inverse(passed: float) -> float:
     common, so that the mean is worth (1 + r)/(1 - r) / (1 + 2 sum over j > 0 of r^j (correlation after j passed))
     spectra, and S is nearly chi-squared.
     """
-    r = kept(passed)
-    shared = sum(r**j * _correlation(round(j * passed / STEP)) for j in range(1, math.ceil(SPAN / passed)))
+    r, tapers = kept(passed), _tapers()
+
+    def correlation(steps: int) -> float:  # of a density of white noise with that ``steps`` of ``STEP`` later
+        return float(((tapers[:, steps:] @ tapers[:, : COUNT - steps].T) ** 2).sum() / TAPERS)
+
+    shared = sum(r**j * correlation(round(j * passed / STEP)) for j in range(1, math.ceil(SPAN / passed)))
     freedom = 2 * TAPERS * (1.0 + r) / (1.0 - r) / (1.0 + 2.0 * shared)
     return freedom / (freedom - 2.0)
-
-
-def _correlation(steps: int) -> float:
-    """Of a density of white noise with that ``steps`` of ``STEP`` later."""
-    tapers = _tapers()
-    return float(((tapers[:, steps:] @ tapers[:, : COUNT - steps].T) ** 2).sum() / TAPERS)
 
 
 _PLACE: Final = np.arange(COUNT) - 0.5 * (COUNT - 1)
@@ -108,8 +106,8 @@ SLOWEST: Final = 0.01
 LINE: Final = 1.0 / SPAN
 
 
-class Heard(NamedTuple):
-    """What N probes would have shown of a groove of 20 % in a period."""
+class FilteredSignal(NamedTuple):
+    """The motion of N probes in a period behind the filter for a groove of 20 %, or of one without the first axis."""
 
     snr: FloatArray  # (N,) signal-to-noise of the groove
     share: FloatArray  # (N,) of the filtered noise's variance that is the sensor's motion
@@ -122,12 +120,12 @@ def snr_of_groove(sensor: Sensor, feed: FloatArray, motion: FloatArray) -> Float
 
     ``motion`` (N, m) is the one-sided density of the radial motion at ``FREQUENCY`` [m2/Hz]; beyond it there is none.
     """
-    passing = _passing(sensor, feed)
+    passing = passing_time(sensor, feed)
     noise = sensor.seen_gain**2 * motion + sensor.noise_density
     return _snr(sensor, passing, power(FREQUENCY * passing[:, None]) / noise)
 
 
-def _passing(sensor: Sensor, feed: FloatArray | float) -> FloatArray:
+def passing_time(sensor: Sensor, feed: FloatArray | float) -> FloatArray:
     """Time in which a flaw is passed [s]."""
     return np.asarray(sensor.flaw_width / np.maximum(np.abs(feed), SLOWEST))
 
@@ -150,7 +148,9 @@ def unbiased(sensor: Sensor, spectrum: FloatArray, inverse: float) -> FloatArray
     return np.asarray(spectrum * (1.0 + (inverse - 1.0) * moved / (moved + sensor.noise_density)))
 
 
-def heard(sensor: Sensor, feed: FloatArray, motion: FloatArray, spectrum: FloatArray, inverse: float = 1.0) -> Heard:
+def filtered_signal(
+    sensor: Sensor, feed: FloatArray, motion: FloatArray, spectrum: FloatArray, inverse: float
+) -> FilteredSignal:
     """What motion leaves of the signal-to-noise.
 
     Args:
@@ -160,7 +160,7 @@ def heard(sensor: Sensor, feed: FloatArray, motion: FloatArray, spectrum: FloatA
         spectrum: (N, m) its mean density [m2/Hz].
         inverse: the mean of its inverse over the inverse of its mean, see ``inverse``.
     """
-    gain, electronics, passing = sensor.seen_gain, sensor.noise_density, _passing(sensor, feed)
+    gain, electronics, passing = sensor.seen_gain, sensor.noise_density, passing_time(sensor, feed)
     noise = gain**2 * unbiased(sensor, spectrum, inverse) + electronics
     flaw = power(FREQUENCY * passing[:, None])
     weights, moved = flaw / noise, gain**2 * spectrum
@@ -173,27 +173,11 @@ def heard(sensor: Sensor, feed: FloatArray, motion: FloatArray, spectrum: FloatA
     # variance is a sum of one-sided densities over lines: times their distance it is that of ``filtered``
     excursions = filtered / np.sqrt(np.maximum(variance * LINE, 1e-300))[:, None]
     peak_to_peak = np.abs(gain) * (motion.max(axis=1) - motion.min(axis=1))
-    return Heard(_snr(sensor, passing, weights), variance / all_of_it, peak_to_peak, excursions)
+    return FilteredSignal(_snr(sensor, passing, weights), variance / all_of_it, peak_to_peak, excursions)
 
 
-def response_of(
-    sensor: Sensor, feed: float, spectrum: FloatArray, signal: FloatArray, sample_period: float
-) -> FloatArray:
-    """(n,) a signal (n,) [V] behind the matched filter, over its noise's deviation.
-
-    ``spectrum`` (m,) is the density of the motion at ``FREQUENCY`` [m2/Hz]; feed in m/s, sample period in s.
-    """
-    passing = _passing(sensor, feed)
-    frequency = np.fft.rfftfreq(len(signal), sample_period)
-    noise = sensor.seen_gain**2 * np.interp(frequency, FREQUENCY, spectrum, right=0.0) + sensor.noise_density
-    gain = np.sqrt(power(frequency * passing)) / noise
-    deviation = np.sqrt((gain**2 * noise).sum() * (frequency[1] - frequency[0]))
-    out = np.fft.irfft(np.fft.rfft(signal) * -1j * gain, len(signal))
-    return np.asarray(out / deviation)
-
-
-class Meter:
-    """Last second of the radial motion of N sensors.
+class SnrEstimator:
+    """Signal-to-noise of N sensors from the last second of their radial motion.
 
     Args:
         sensor: its constants.
@@ -206,46 +190,52 @@ class Meter:
     def __init__(self, sensor: Sensor, count: int, sample_period: float) -> None:
         self.sensor: Final = sensor
         self.sample_period: Final = sample_period
-        self._kept = np.zeros((count, round(SPAN / sample_period)))
+        self._samples = np.zeros((count, round(SPAN / sample_period)))
         self._known = np.zeros(count, dtype=np.int64)
         self.spectrum = np.zeros((count, len(FREQUENCY)))
         self._inverse = np.ones(count)
-        self._last: dict[int, tuple[float, float, float, FloatArray]] = {}
+        self._signal = FilteredSignal(np.zeros(count), np.zeros(count), np.zeros(count), np.zeros((count, COUNT)))
 
-    def fork(self, which: Sequence[int]) -> Meter:
-        """A meter of copies of some of the probes, which has heard what this one has."""
-        new, index = Meter(self.sensor, len(which), self.sample_period), list(which)
-        new._kept, new._known, new.spectrum = self._kept[index], self._known[index], self.spectrum[index]
-        new._inverse = self._inverse[index]
-        new._last = {n: self._last[k] for n, k in enumerate(which) if k in self._last}
+    def fork(self, which: Sequence[int]) -> SnrEstimator:
+        """An estimator of copies of some of the probes, with their motion."""
+        new, index = SnrEstimator(self.sensor, len(which), self.sample_period), list(which)
+        for name in ("_samples", "_known", "spectrum", "_inverse"):
+            setattr(new, name, getattr(self, name)[index])
+        new._signal = FilteredSignal(*(values[index] for values in self._signal))
         return new
 
-    def forget(self, k: int) -> None:
+    def reset(self, k: int) -> None:
         """Another episode of probe k begins."""
         self._known[k], self.spectrum[k] = 0, 0.0
 
-    def of(self, k: int) -> tuple[float, float, float, FloatArray]:
-        """What was heard of probe k last, see ``Heard``: one row of each."""
-        return self._last[k]
+    def last(self, k: int) -> FilteredSignal:
+        """The signal of probe k in its last period."""
+        return FilteredSignal(*(values[k] for values in self._signal))
 
-    def of_filter(self, k: int) -> FloatArray:
+    def filter_spectrum(self, k: int) -> FloatArray:
         """(m,) density of the motion of probe k as the matched filter weighs by it [m2/Hz]."""
         return unbiased(self.sensor, self.spectrum[k], float(self._inverse[k]))
 
     def last_second(self, k: int) -> FloatArray:
         """(m,) motion of probe k that is kept, the newest last [m]; less than a second where less is known."""
-        known = min(int(self._known[k]), self._kept.shape[1])
-        return self._kept[k, self._kept.shape[1] - known :].copy()
+        known = min(int(self._known[k]), self._samples.shape[1])
+        return self._samples[k, self._samples.shape[1] - known :].copy()
 
-    def listen(self, which: npt.NDArray[np.integer[Any]], radial: FloatArray, feed: FloatArray) -> Heard:
-        """A period of some probes.
+    def update(self, which: npt.NDArray[np.integer[Any]], radial: FloatArray, feed: FloatArray) -> FilteredSignal:
+        """Add a period of some probes.
 
         Args:
             which: (n,) their indices.
             radial: (samples, n) their motion [m].
             feed: (n,) feed speed [m/s].
         """
-        motion = straightened(self._take(which, radial), self.sample_period)
+        size = self._samples.shape[1]
+        new = radial[-size:].T
+        fresh = self._known[which] == 0
+        before = np.where(fresh[:, None], new[:, :1], self._samples[which, new.shape[1] :])
+        self._samples[which] = samples = np.concatenate([before, new], axis=1)
+        self._known[which] += len(radial)
+        motion = straightened(samples, self.sample_period)
         # until a second has passed the rest stands still: the same power in the part that is known
         known = self._known[which] * self.sample_period
         if known.min() < SPAN:
@@ -255,17 +245,7 @@ class Meter:
         spectrum = self.spectrum[which]
         spectrum += np.minimum(gain, 1.0) * (density(motion) - spectrum)
         self.spectrum[which], self._inverse[which] = spectrum, inverse(passed)
-        reading = heard(self.sensor, feed, motion, spectrum, inverse(passed))
-        for row, k in enumerate(which.tolist()):
-            self._last[k] = (*(float(values[row]) for values in reading[:3]), reading.excursions[row])
-        return reading
-
-    def _take(self, which: npt.NDArray[np.integer[Any]], radial: FloatArray) -> FloatArray:
-        """Keep samples (samples, n) of some probes; gives the last second (n, m) of them."""
-        size = self._kept.shape[1]
-        new = radial[-size:].T
-        fresh = self._known[which] == 0
-        before = np.where(fresh[:, None], new[:, :1], self._kept[which, new.shape[1] :])
-        self._kept[which] = last = np.concatenate([before, new], axis=1)
-        self._known[which] += len(radial)
-        return last
+        signal = filtered_signal(self.sensor, feed, motion, spectrum, inverse(passed))
+        for values, latest in zip(self._signal, signal, strict=True):
+            values[which] = latest
+        return signal

@@ -1,0 +1,465 @@
+"""The reader of log files: text of any separator and encoding, or an Excel sheet, as columns in SI units.
+
+A format turns the bytes of a file into lines of cells (``_decoded``, ``_sheet_lines``). ``_table_of`` finds the head
+and splits the lines, ``read_channels`` makes quantities of the columns.
+"""
+
+from __future__ import annotations
+
+import codecs
+import csv
+import io
+import re
+import warnings
+import zipfile
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from datetime import datetime, time
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from agents.plant.quantities import (
+    DATE,
+    NAMES,
+    QUANTITIES,
+    ColumnOption,
+    Quantity,
+    known_as,
+    looks_like_unit,
+    plain,
+    si_factor,
+    split_head,
+)
+from agents.plant.times import MISSING, MORE_THAN_NUMBER, CellError, check, dated, matches, seconds
+from probe_env.arrays import FloatArray
+from probe_env.files import MEBI, FileError, read_bytes
+from probe_env.schedule import CSV_COMMENT
+
+IntArray = npt.NDArray[np.integer]
+MOST_BYTES: Final = 256 * MEBI
+MOST_ROWS: Final = 5_000_000
+MOST_COLUMNS: Final = 256
+HEAD_WITHIN: Final = 200
+"""Lines, empty ones apart, within which the head must stand."""
+HEADS_SHOWN: Final = 12
+
+SEPARATORS: Final = {";": "';'", "\t": "tabs", "|": "'|'", ",": "','", " ": "spaces"}
+_CONTROL: Final = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f]")
+_COMMENT: Final = r"^\s*[#%!]|^[\s|:+=-]*$"
+"""Comments, empty lines, rules between head and rows."""
+_SPACED_TIME: Final = r"(\d{4}-\d\d-\d\d|\d\d\.\d\d\.\d{4})[ \t]+(\d\d:\d\d)"
+_END_PIPES: Final = r"^\s*\||\|\s*$"
+_NUMBER_OR_TIME: Final = re.compile(r"[+-]?[\d.,'  ]*\d[\d.,'  ]*(?:[eE][+-]?\d+)?|\d[\d:.,TZ +-]*:[\d:.,TZ +-]*")
+_SPACES: Final = "[ '’\u00a0\u2009\u202f]"
+_POWER: Final = r"(?:[eE][+-]?\d+)"
+
+ZIP: Final = b"PK\x03\x04"
+OLD_EXCEL: Final = b"\xd0\xcf\x11\xe0"
+MOST_UNPACKED: Final = 512 * MEBI
+MOST_TEXT: Final = 256 * MEBI
+MOST_EMPTY: Final = 10_000
+"""Rows without a cell, of which a small file can hold millions."""
+
+
+@dataclass(frozen=True)
+class Table:
+    """Cells as they are written."""
+
+    path: Path
+    heads: tuple[str, ...]
+    units: tuple[str, ...]  # from the row below the heads; empty texts where there is none
+    columns: tuple[Any, ...]  # arrow arrays of texts (rows,), without spaces at their ends
+    lines: IntArray  # (rows,) line number, or row number of a sheet
+    row_word: str  # what errors call a row: line or row
+    separator: str
+    steps: bool  # whether the file says that values hold until the next row
+
+    def error(self, row: int, problem: str, column: int | None = None) -> FileError:
+        """An error at a row, and column."""
+        place = f", column {self.heads[column]!r}" if column is not None else ""
+        return FileError(self.path, f"{self.row_word} {self.lines[row]}{place}: {problem}")
+
+    def error_between(self, first: int, last: int, problem: str) -> FileError:
+        """An error from one row to another."""
+        return FileError(self.path, f"{self.row_word}s {self.lines[first]} to {self.lines[last]}: {problem}")
+
+
+@dataclass(frozen=True)
+class Channels:
+    """A log as it was recorded, in SI units, NaN where values are missing."""
+
+    table: Table
+    time: FloatArray  # (rows,) seconds from any origin
+    values: Mapping[str, FloatArray]  # quantity -> (rows,)
+    indices: Mapping[str, int]  # quantity -> index of its column
+
+
+def read_channels(
+    path: Path, sheet: str | None, options: Sequence[ColumnOption], decimal: str, air: float | None
+) -> Channels:
+    """The quantities of a text file, or of a sheet of a workbook.
+
+    Args:
+        path: of the file.
+        sheet: of a workbook; None: the first.
+        options: heads that are not known.
+        decimal: "." or ","; empty: found from the numbers.
+        air: of a log without that column [m3/s].
+
+    Raises:
+        FileNotFoundError: no such file.
+        FileError: not a text or workbook; no such sheet; no head or rows; a column that is missing, occurs twice or has
+            no unit; a cell that is no number or time, or out of range; too large.
+        ModuleNotFoundError: openpyxl or pint is not installed.
+    """
+    table = _read_table(path, sheet, options)
+    indices, units = _indices(table, options)
+    date = indices.pop(DATE, None)
+    for names in (("time",), ("feed_speed", "inserted_length"), ("air_supply",)):
+        if not any(name in indices for name in names) and (names != ("air_supply",) or air is None):
+            hint = "; or give a constant, --air-supply M3_PER_H" if names == ("air_supply",) else ""
+            problem = f"no column is known as {' or '.join(names)}; found: {_listed(table.heads)}"
+            raise FileError(path, f"{problem} - name it: --columns 'HEAD={names[0]}'{hint}")
+    cells, column = {name: table.columns[k] for name, k in indices.items()}, date
+    values: dict[str, FloatArray] = {}
+    try:
+        if date is not None:
+            cells["time"] = dated(table.columns[date], cells["time"])
+        first = cells["time"].filter(pa.array(~matches(cells["time"], MISSING)))[:1]
+        written_out = matches(first, MORE_THAN_NUMBER).any()
+        numbers = {name: k for name, k in indices.items() if not (written_out and name == "time")}
+        factors = {name: _factor(table, QUANTITIES[name], k, units) for name, k in numbers.items()}
+        sign = decimal or _decimal_sign(table, {k: cells[name] for name, k in numbers.items()})
+        for name in indices:
+            column = indices[name]
+            scaled = _numbers(cells[name], sign) * factors[name] if name in factors else seconds(cells[name])
+            values[name] = _in_range(QUANTITIES[name], scaled)
+    except CellError as error:
+        raise table.error(error.row, error.problem, column) from None
+    if "air_supply" not in values and air is not None:
+        values["air_supply"] = np.full(len(table.lines), air)
+    return Channels(table, values.pop("time"), values, indices)
+
+
+def _read_table(path: Path, sheet: str | None, options: Sequence[ColumnOption]) -> Table:
+    content = read_bytes(path, MOST_BYTES)
+    if content.startswith(OLD_EXCEL):
+        raise FileError(path, "a workbook of Excel before 2007: save it as .xlsx or as CSV")
+    if content.startswith(ZIP):
+        return _table_of(path, _sheet_lines(path, content, sheet), options, "row")
+    if sheet is not None:
+        raise FileError(path, f"not a workbook, so it has no sheet {sheet[:80]!r}: leave --sheet out")
+    return _table_of(path, _decoded(path, content).split("\n"), options, "line")
+
+
+def _decoded(path: Path, content: bytes) -> str:
+    """The text of a file: UTF-8, UTF-16, or else what Windows writes in Western Europe."""
+    begin = content[:1000]
+    names = ["utf-8-sig", "cp1252"]
+    if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        names = ["utf-16"]
+    elif len(begin) > 3:
+        names = [f"utf-16-{e}" for e, k in (("le", 1), ("be", 0)) if begin[k::2].count(0) > 0.4 * len(begin)] or names
+    for name in names:
+        try:
+            text = content.decode(name)
+            break
+        except UnicodeDecodeError as error:
+            line, byte = content.count(b"\n", 0, error.start) + 1, content[error.start]
+    else:
+        raise FileError(path, f"line {line}: not a text file (byte 0x{byte:02x}): export it as text in UTF-8")
+    text = text.rstrip("\x1a").replace("\r\n", "\n").replace("\r", "\n")  # DOS ended files with Ctrl-Z
+    if control := _CONTROL.search(text):
+        line = text.count("\n", 0, control.start()) + 1
+        problem = f"not a text file: a control character (0x{ord(control[0]):02x})"
+        raise FileError(path, f"line {line}: {problem} - export it as text")
+    return text
+
+
+def _sheet_lines(path: Path, content: bytes, sheet: str | None) -> list[str]:
+    """Cells of every row of a sheet, with tabs between them; formulas by their stored values."""
+    import openpyxl
+
+    try:
+        with zipfile.ZipFile(io.BytesIO(content)) as archive:
+            parts = archive.infolist()
+        unpacked = sum(part.file_size for part in parts)  # what a part declares is all that is unpacked of it
+        if unpacked > MOST_UNPACKED:
+            size = f"{len(parts)} parts of {unpacked} bytes unpacked"
+            raise FileError(path, f"{size} are more than a log may have: export it as CSV")
+        with warnings.catch_warnings(action="ignore"):  # of styles and extensions
+            book = openpyxl.load_workbook(io.BytesIO(content), read_only=True, data_only=True, keep_links=False)
+            names = [str(name) for name in book.sheetnames]
+            if sheet is not None and sheet not in names:
+                raise FileError(path, f"no sheet {sheet[:80]!r}; there are {', '.join(map(repr, names[:20]))}")
+            page = book[sheet if sheet is not None else names[0]]
+            if not hasattr(page, "reset_dimensions"):
+                raise FileError(path, f"{page.title!r} is a chart, not a sheet: --sheet names another")
+            page.reset_dimensions()  # a sheet may claim any size
+            return _joined(path, page.iter_rows(max_col=MOST_COLUMNS + 1, values_only=True))
+    except FileError:
+        raise
+    except Exception as error:  # a damaged workbook raises whatever its parts run into
+        problem = f"not an Excel workbook that can be read ({type(error).__name__})"
+        raise FileError(path, f"{problem}: save it again") from error
+
+
+def _joined(path: Path, rows: Iterable[Sequence[Any]]) -> list[str]:
+    lines: list[str] = []
+    size = empty = 0
+    for number, row in enumerate(rows, start=1):
+        values = ("" if v is None else v.isoformat() if isinstance(v, datetime | time) else str(v) for v in row)
+        cells = [re.sub(r"[\x00-\x1f\x7f-\x9f]", " ", text) for text in values]
+        while cells and not cells[-1].strip():
+            cells.pop()
+        empty += not cells
+        size += sum(map(len, cells))
+        if empty > MOST_EMPTY:
+            raise FileError(path, f"row {number}: more rows than a sheet has, or more empty ones than a log: cut it")
+        if len(cells) > MOST_COLUMNS:
+            raise FileError(path, f"row {number}: more than {MOST_COLUMNS} columns")
+        if size > MOST_TEXT:
+            raise FileError(path, f"row {number}: the sheet is larger than a log may be: cut it")
+        lines.append("\t".join(cells))
+    return lines
+
+
+def _table_of(path: Path, lines: list[str], options: Sequence[ColumnOption], word: str) -> Table:
+    """The table of lines of text, or of rows of a sheet, whose cells tabs separate."""
+    text = word == "line"
+    if len(lines) > MOST_ROWS:
+        raise FileError(path, f"{len(lines)} {word}s are more than the {MOST_ROWS} that a log may have: cut it")
+    filled = [k for k, line in enumerate(lines[: 10 * HEAD_WITHIN]) if line.strip()][:HEAD_WITHIN]
+    if not any(map(str.strip, lines)):
+        raise FileError(
+            path, "empty: a head and rows of numbers are needed" + ("" if text else "; --sheet names another")
+        )
+    separators = tuple(SEPARATORS) if text else ("\t",)
+    candidates = [
+        (k + 1, separator, _split(_uncommented(lines[k])[: 100 * MOST_COLUMNS], separator))
+        for k in filled
+        for separator in separators
+    ]
+    best = max(candidates, key=lambda candidate: _named(candidate[2], options), default=None)
+    if best is None or _named(best[2], options) < 2:
+        number, shown = next(((k, cells) for k, _, cells in candidates if len(cells) > text), (1, list[str]()))
+        problem = f"no head that names two quantities; found: {_listed(shown) or 'none'} - say what they are"
+        names = f"--columns 'HEAD=QUANTITY', with QUANTITY one of {', '.join(NAMES)}"
+        raise FileError(path, f"{word} {number}: {problem}: {names}")
+    head, separator, _ = best
+    heads = _split(_uncommented(lines[head - 1]), separator)
+    if len(heads) > MOST_COLUMNS:
+        raise FileError(path, f"{word} {head}: {len(heads)} columns are more than {MOST_COLUMNS}")
+    remarks = (line for line in lines[: head - 1] if line.startswith(CSV_COMMENT))
+    steps = any(line.partition(":")[2].strip() == "steps" for line in remarks)
+    body = lines[head:]
+    if not text:  # cells at the end of a row may be empty
+        body = [line + "\t" * (len(heads) - 1 - line.count("\t")) for line in body]
+    rows = pa.array(body, pa.large_string())
+    numbers = np.flatnonzero(~matches(rows, _COMMENT if text else r"^\s*$")) + head + 1
+    below = _split(lines[numbers[0] - 1], separator) if len(numbers) else []
+    filled_below = [cell for cell in below if cell]
+    units = [""] * len(heads)
+    if filled_below and all(looks_like_unit(cell) and not _NUMBER_OR_TIME.fullmatch(cell) for cell in filled_below):
+        units = [*(cell.strip("[]() ") for cell in below), *units][: len(heads)]
+        numbers = numbers[1:]
+    if not len(numbers):
+        raise FileError(path, f"{word} {head}: a head, but no rows below it: at least two are needed")
+    columns = _columns(path, rows.take(pa.array(numbers - head - 1)), numbers, separator, len(heads), word)
+    return Table(path, tuple(heads), tuple(units), columns, numbers, word, separator if text else "", steps)
+
+
+def _named(cells: Sequence[str], options: Sequence[ColumnOption]) -> int:
+    """How many quantities a row names."""
+    named = {option.quantity for cell in cells if cell for option in options if option.means(cell)}
+    return len(named | {name for cell in cells if (name := known_as(cell))})
+
+
+def _listed(heads: Sequence[str]) -> str:
+    """The first heads, for an error."""
+    return ", ".join(repr(head[:60]) for head in heads[:HEADS_SHOWN]) + (" ..." if len(heads) > HEADS_SHOWN else "")
+
+
+def _uncommented(line: str) -> str:
+    return re.sub(r"^\s*[#%!]", "", line)
+
+
+def _split(line: str, separator: str) -> list[str]:
+    """Cells of a head or a row of units."""
+    if separator == " ":
+        return re.split(r"\s+(?![\[(])", re.sub(_SPACED_TIME, r"\1T\2", line).strip())  # a unit belongs to its word
+    if separator == "|":
+        line = re.sub(_END_PIPES, "", line)
+    cells = line.split(separator)
+    if '"' in line:
+        with suppress(csv.Error):
+            cells = next(csv.reader([line], delimiter=separator, skipinitialspace=True))
+    return [cell.strip() for cell in cells]
+
+
+def _columns(path: Path, lines: Any, numbers: IntArray, separator: str, count: int, word: str) -> tuple[Any, ...]:
+    """Trimmed texts (rows,) of every column."""
+    if word == "line" and pc.any(pc.match_substring(lines, '"')).as_py():
+        cells = pa.array(_quoted_rows(path, lines.to_pylist(), numbers, separator, count), pa.list_(pa.large_string()))
+    elif separator == " ":
+        joined = pc.replace_substring_regex(lines, _SPACED_TIME, r"\1T\2")
+        cells = pc.utf8_split_whitespace(pc.utf8_trim_whitespace(joined))
+    else:
+        if separator == "|":
+            lines = pc.replace_substring_regex(lines, _END_PIPES, "")
+        end = re.escape(separator) + r"[ ]*$"
+        closed = np.asarray(pc.count_substring(lines, separator)) == count  # a separator behind the last cell
+        if (closed & matches(lines, end)).any():
+            lines = pc.if_else(pa.array(closed), pc.replace_substring_regex(lines, end, ""), lines)
+        cells = pc.split_pattern(lines, separator)
+    lengths = np.asarray(pc.list_value_length(cells))
+    wrong = np.flatnonzero(lengths != count)
+    if len(wrong):
+        k = int(wrong[0])
+        hint = f"correct that {word} or delete it"
+        if k == len(lengths) - 1 and lengths[k] < count:
+            hint = "the file ends within it: delete that line"
+        elif separator == "," and len(wrong) == len(lengths) and lengths[k] > count:
+            hint = "decimal commas and separating commas cannot be told apart: export it with semicolons"
+        values = f"{lengths[k]} values for {count} columns" + f", separated by {SEPARATORS[separator]}" * (
+            word == "line"
+        )
+        raise FileError(path, f"{word} {numbers[k]}: {values} - {hint}")
+    flat = pc.utf8_trim(pc.list_flatten(cells), " \t\u00a0\u2009\u202f\ufeff")
+    return tuple(flat.take(pa.array(np.arange(k, len(flat), count))) for k in range(count))
+
+
+def _quoted_rows(path: Path, lines: list[str], numbers: IntArray, separator: str, count: int) -> list[list[str]]:
+    reader = csv.reader(lines, delimiter=separator, strict=True, skipinitialspace=True)
+    rows: list[list[str]] = []
+    try:
+        for row in reader:
+            rows.append(row[:-1] if len(row) == count + 1 and not row[-1].strip() else row)
+            if reader.line_num != len(rows):
+                raise FileError(path, f"line {numbers[len(rows) - 1]}: a quote that this line does not close")
+    except csv.Error as error:
+        raise FileError(path, f"line {numbers[len(rows)]}: not CSV: {error}") from error
+    return rows
+
+
+def _indices(table: Table, options: Sequence[ColumnOption]) -> tuple[dict[str, int], dict[str, str]]:
+    """Index of the column of every quantity, and the units that ``--columns`` gives."""
+    indices: dict[str, int] = {}
+    for option in options:
+        found = [k for k, head in enumerate(table.heads) if head == option.head]
+        found = found or [k for k, head in enumerate(table.heads) if head and option.means(head)]
+        name = f"column {option.head[:60]!r}"
+        if len(found) != 1:
+            often = "is not there" if not found else f"is there {len(found)} times: rename one in the file"
+            raise FileError(table.path, f"{name} of --columns {often}; found: {_listed(table.heads)}")
+        if found[0] in indices.values():
+            raise FileError(table.path, f"{name} is named twice in --columns: it is one quantity")
+        indices[option.quantity] = found[0]
+    by_option = dict(indices)
+    for k, head in enumerate(table.heads):
+        known = known_as(head)
+        if k in by_option.values() or known is None or known in by_option:
+            continue
+        if known in indices:
+            both = f"columns {table.heads[indices[known]]!r} and {head!r} are both {known}"
+            raise FileError(table.path, f"{both}: say which it is, --columns 'HEAD={known}'")
+        indices[known] = k
+    return indices, {option.quantity: option.unit for option in options if option.unit}
+
+
+def _factor(table: Table, quantity: Quantity, k: int, units: Mapping[str, str]) -> float:
+    head = table.heads[k]
+    unit = units.get(quantity.name) or split_head(head)[1] or table.units[k]
+    if not unit and quantity.name == "time":
+        unit = quantity.unit
+    if not unit:
+        hint = f"give it, --columns '{plain(head)}={quantity.name}[UNIT]'"
+        raise FileError(table.path, f"column {head!r} has no unit: {hint}")
+    try:
+        return si_factor(unit, quantity)
+    except ValueError as error:
+        raise FileError(table.path, f"column {head!r}: {error}") from error
+
+
+def _in_range(quantity: Quantity, values: FloatArray) -> FloatArray:
+    low, high = quantity.low, quantity.high
+    wrong = (values < low - quantity.noise) | (values > high)
+    if wrong.any():
+        row, unit = int(wrong.argmax()), quantity.unit
+        value, least, most = (number / quantity.scale for number in (values[row], low, high))
+        problem = f"{quantity.name} = {value:.6g} {unit} is outside the accepted range {least:g} to {most:g} {unit}"
+        raise CellError(row, f"{problem} - is the unit right?")
+    return np.asarray(np.where(values < low, low, values))
+
+
+def _decimal_sign(table: Table, columns: Mapping[int, Any]) -> str:
+    """The decimal sign of a file, by all its numbers: texts by the index of their column."""
+    proofs = {sign: _first(columns, _proof(sign)) for sign in ".,"}
+    if proofs["."] and proofs[","]:
+        row, k = max(proofs["."], proofs[","])
+        problem = f"{columns[k][row].as_py()[:40]!r} has another decimal sign than the numbers before it"
+        raise table.error(row, f"{problem}: use one", k)
+    for sign, proof in proofs.items():
+        if proof:
+            return sign
+    if table.separator in ("", ",") and not _first(columns, ","):  # then a point marks no thousands
+        return "."
+    if unclear := _first(columns, r"[.,]"):
+        row, k = unclear
+        problem = f"{columns[k][row].as_py()[:40]!r} may have a decimal sign or thousands, and no other number tells"
+        raise table.error(row, f"{problem}: --decimal point or comma", k)
+    return "."
+
+
+def _proof(sign: str) -> str:
+    """What only a number with this decimal sign looks like."""
+    g = re.escape("," if sign == "." else ".")
+    d = re.escape(sign)
+    return (
+        rf"^[+-]?(?:\d{{1,3}}(?:{g}\d{{3}})+{d}\d*"  # thousands and a decimal sign
+        rf"|\d{{1,3}}(?:{g}\d{{3}}){{2,}}"  # groups of thousands
+        rf"|\d*{d}(?:\d{{0,2}}|\d{{4,}}){_POWER}?"  # not three digits behind it
+        rf"|(?:0\d*|\d{{4,}}|){d}\d*{_POWER}?"  # nor one to three before it, as a group has
+        rf"|\d+{d}\d*{_POWER})$"
+    )
+
+
+def _first(columns: Mapping[int, Any], pattern: str) -> tuple[int, int] | None:
+    """Row and column of the first text with a pattern, row by row."""
+    for begin, count in ((0, 1000), (1000, None)):  # most files show it at once
+        found = [
+            (begin + int(m.argmax()), k)
+            for k, c in columns.items()
+            if (m := matches(c.slice(begin, count), pattern)).any()
+        ]
+        if found:
+            return min(found)
+    return None
+
+
+def _numbers(cells: Any, sign: str) -> FloatArray:
+    """Finite numbers (rows,) of trimmed texts, NaN where missing."""
+    other = "," if sign == "." else "."
+    if sign == "." or not matches(cells, r"\.").any():
+        with suppress(pa.ArrowInvalid):  # most columns are written plainly, and read fast
+            values = np.asarray(pc.replace_substring(cells, sign, ".").cast(pa.float64()), dtype=float)
+            if np.isfinite(values).all():
+                return values
+    missing = matches(cells, MISSING)
+    d, g = re.escape(sign), re.escape(other)
+    shape = rf"^[+-]?(?:\d+|\d{{1,3}}(?:{g}\d{{3}})+|\d{{1,3}}(?:{_SPACES}\d{{3}})+)?(?:{d}\d*)?{_POWER}?$"
+    readable = matches(cells, shape) & matches(cells, r"\d") & ~missing
+    point = pc.replace_substring(pc.replace_substring_regex(cells, rf"^\+|{g}|{_SPACES}", ""), sign, ".")
+    values = np.asarray(pc.if_else(pa.array(readable), point, pa.scalar("nan", pa.large_string())).cast(pa.float64()))
+    hint = " - correct it, or leave it empty"
+    good = (readable | missing) & ~np.isinf(values)
+    if not good.all() and other in cells[int((~good).argmax())].as_py():
+        hint = f" with the decimal sign {sign!r}, which the other numbers have{hint}"
+    check(cells, good, f"is not a finite number{hint}")
+    return values

@@ -1,0 +1,85 @@
+"""Scales of observations and actions: bounds and units of each observation, and values in a range as [-1, 1]."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from probe_env.arrays import FloatArray
+from probe_env.design import RANGES
+
+ACCELEROMETER_FLOOR: Final = 1e-2  # [m/s2] rms, its own noise
+RF_FLOOR: Final = 1e-6  # [m] of radial rms: noise of the eddy-current signal at rest
+LOAD_CELL: Final = 1e4  # [N], the range that it is built for: overloaded it shows its end
+OBSERVATIONS: Final[dict[str, tuple[float, float, str]]] = {
+    "inserted_length": (0.0, 20.0, "cable in the helix / 60 m"),
+    "remaining_length": (-1.0, 20.0, "length still to feed / 60 m"),
+    "feed_speed": (0.0, 6.0, "applied feed speed / (0.4 m/s)"),
+    "air_supply_rate": (0.0, 6.0, "applied air supply / (130 m3/h)"),
+    "radial_acceleration": (-3.0, 8.0, "log10 of the radial accelerometer's rms / (1 m/s2)"),
+    "axial_acceleration": (-3.0, 8.0, "log10 of the axial accelerometer's rms / (1 m/s2)"),
+    "rf_noise": (-4.0, 5.0, "log10 of the eddy-current noise, as radial rms / 0.1 mm; with sensor noise"),
+    "root_tension": (-500.0, 500.0, "mean root tension / 20 N; with sensor noise; the load cell ends at 10 kN"),
+    "previous_feed_action": (-1.5, 1.5, "action before, feed speed"),
+    "previous_air_action": (-1.5, 1.5, "action before, air supply"),
+    "helix_diameter": (0.0, 4000.0, "helix diameter / 2.5 m"),
+}
+"""Name -> (low, high, meaning) of what a rig can measure; no valid run reaches a bound but that of the load cell.
+
+Inserted length, feed, air and helix end at what scenes and tasks accept; radial signals at a displacement of 1 m,
+where a probe counts as diverged. Ten times table 2's drag pulls with 2.4 kN in a straight tube."""
+BOTH_WAYS: Final[dict[str, tuple[float, float, str]]] = {
+    "feed_speed": (-6.0, 6.0, "applied feed speed, below 0 on withdrawal / (0.4 m/s)"),
+    "air_supply_rate": (-6.0, 6.0, "applied air supply, below 0 towards the feed device / (130 m3/h)"),
+    "way": (-1.0, 1.0, "1 on insertion, -1 on withdrawal"),
+}
+"""What is observed otherwise, or as well, where the probe is drawn back too."""
+PRIVILEGED: Final[dict[str, tuple[float, float, str]]] = {
+    "friction": (0.0, 4.0, "friction coefficient / 0.25"),
+    "contact_stiffness": (0.0, 1000.0, "contact stiffness / (1e5 N/m)"),
+    "drag_factor": (0.0, 10.0, "drag over that of table 2"),
+}
+PROBE: Final[dict[str, tuple[float, float, str]]] = {
+    name: (-2000.0, 2000.0, f"{name.replace('_', ' ')}: 0 to 1 in the design space, {low:g} to {high:g} {unit}")
+    for name, (low, high, unit) in RANGES.items()
+}
+"""The probe that was built, for controllers of many probes."""
+UNITS: Final = {
+    "inserted_length": 60.0, "remaining_length": 60.0, "feed_speed": 0.4, "air_supply_rate": 130.0 / 3600.0,
+    "rf_noise": 1e-4, "radial_acceleration": 1.0, "axial_acceleration": 1.0, "root_tension": 20.0,
+    "helix_diameter": 2.5, "friction": 0.25, "contact_stiffness": 1e5, "drag_factor": 1.0,
+}  # fmt: skip
+"""What an observation is a multiple, or the logarithm of a multiple, of [SI unit]."""
+LOGARITHMIC: Final = ("rf_noise", "radial_acceleration", "axial_acceleration")
+
+
+def share_of(action: FloatArray) -> FloatArray:
+    """The share of a range, 0 to 1, that an action in [-1, 1] stands for; beyond it the end."""
+    return np.asarray(_share(np.clip(action, -1.0, 1.0)))
+
+
+def action_of(share: FloatArray) -> FloatArray:
+    """The inverse of ``share_of``."""
+    return 2.0 * share - 1.0
+
+
+def value_at(share: FloatArray, range_: tuple[float, float]) -> FloatArray:
+    """The inverse of ``share_between``."""
+    low, high = range_
+    return low + share * (high - low)
+
+
+def action_in(action: FloatArray, range_: tuple[float, float], other: tuple[float, float]) -> FloatArray:
+    """The action that asks in an ``other`` range for what an action asks for in a range, within it or not."""
+    return action_of(share_between(value_at(_share(action), range_), other))
+
+
+def share_between(value: FloatArray | float, range_: tuple[float, float]) -> FloatArray:
+    """Where in a range a value is: 0 at its low end, 1 at its high one."""
+    low, high = range_
+    return np.asarray((np.asarray(value, dtype=float) - low) / (high - low))
+
+
+def _share(action: FloatArray) -> FloatArray:
+    return 0.5 * (action + 1.0)

@@ -1,0 +1,101 @@
+"""What both passes find: of one pass the same as alone, of two by closed form."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from probe_env.inspection.detection import pod_gaussian, snr_at, threshold
+from probe_env.inspection.metrics import POD_NAMES, DetectionMetrics, RoundTripMetrics
+from probe_env.inspection.sensor import Sensor
+from probe_env.inspection.snr import COUNT, FilteredSignal
+
+SENSOR = Sensor()
+HALF = threshold(Sensor(false_calls=0.5 * SENSOR.false_calls), 60.0)
+SILENT = np.zeros(COUNT)
+
+
+def signal(snr, share=0.0, peak_to_peak=0.5, excursions=SILENT):
+    return FilteredSignal(*map(np.asarray, (snr, share, peak_to_peak, excursions)))
+
+
+def curve(kpis):
+    return np.array([kpis[name] for name in POD_NAMES])
+
+
+def pod(snr, z=HALF):
+    return pod_gaussian(snr_at(SENSOR, np.array([snr])), z)[0]
+
+
+@pytest.mark.parametrize(
+    ("scored_pass", "segment", "step"), [("in", "in", 1.0), ("back", "back", -1.0), ("back", "turn", -1.0)]
+)
+def test_one_pass_is_judged_as_alone(scored_pass, segment, step):
+    """Spiky noise in places of different lengths, in the order in which the pass has them."""
+    rng = np.random.default_rng(0)
+    alone, either = DetectionMetrics(SENSOR), RoundTripMetrics(SENSOR, scored_pass)
+    ends = np.cumsum(rng.uniform(0.1, 2.0, 200))[:: int(step)]
+    for one, other in pairwise(ends):
+        low, high = sorted((float(one), float(other)))
+        reading = signal(rng.uniform(1.0, 9.0), 0.5, rng.uniform(), rng.standard_t(2, COUNT))
+        alone.add(high - low, reading)
+        either.add(segment, low, high, reading)
+        either.add("in" if segment != "in" else "back", low, high, signal(99.0))  # not looked at
+    assert not alone.gaussian
+    assert either.kpis(60.0, 60.0) == pytest.approx(alone.kpis(60.0, 60.0), rel=1e-9)
+
+
+def test_a_flaw_is_called_where_either_pass_calls_it():
+    """In over 0 to 40 m at S/N 2 and 6, back over 10 to 60 m at 8 and 3: half of the false calls each."""
+    either = RoundTripMetrics(SENSOR, "best")
+    either.add("in", 0.0, 30.0, signal(2.0, peak_to_peak=0.1))
+    either.add("in", 30.0, 40.0, signal(6.0, peak_to_peak=0.2))
+    either.add("turn", 45.0, 60.0, signal(8.0, peak_to_peak=0.3))
+    either.add("back", 10.0, 45.0, signal(3.0, peak_to_peak=0.4))
+    kpis = either.kpis(80.0, 60.0)
+    pieces = [(10.0, 2.0, 0.0), (20.0, 2.0, 3.0), (10.0, 6.0, 3.0), (5.0, 0.0, 3.0), (15.0, 0.0, 8.0)]
+    called = [
+        length * (1.0 - np.prod([1.0 - pod(snr) for snr in both if snr > 0.0], axis=0)) for length, *both in pieces
+    ]
+    assert curve(kpis) == pytest.approx(sum(called) / 80.0, rel=1e-12)
+    assert kpis["length_with_snr_over_3_m"] == 50.0
+    assert kpis["noise_peak_to_peak_v"] == pytest.approx(
+        (10.0 * 0.1 + 20.0 * 0.4 + 10.0 * 0.2 + 5.0 * 0.4 + 15.0 * 0.3) / 60.0
+    )
+    assert kpis["call_threshold"] == pytest.approx(HALF)
+    assert kpis["noise_gaussian"] == 1.0
+
+
+def test_places_may_be_cut_anywhere():
+    """The same passes in one piece, and in pieces whose ends are not those of the other pass."""
+    both = RoundTripMetrics(SENSOR, "best"), RoundTripMetrics(SENSOR, "best")
+    both[0].add("in", 5.0, 60.0, signal(4.0))
+    both[0].add("back", 5.0, 60.0, signal(5.0))
+    for segment, count, snr in (("in", 37, 4.0), ("back", 23, 5.0)):
+        ends = np.linspace(5.0, 60.0, count).tolist()
+        for low, high in pairwise(ends):
+            both[1].add(segment, low, high, signal(snr))
+    whole, cut = (metrics.kpis(55.0, 60.0) for metrics in both)
+    assert cut == pytest.approx(whole, rel=1e-9)
+
+
+def test_what_the_turn_shakes_raises_no_threshold_elsewhere():
+    """Spikes in the metres after the turn, silence in the others: those are judged as if there were no turn."""
+    rng = np.random.default_rng(0)
+    shaken, alone = RoundTripMetrics(SENSOR, "back"), RoundTripMetrics(SENSOR, "back")
+    for metre in range(30):
+        shaken.add("turn", 30.0 + metre, 31.0 + metre, signal(1e-9, 0.9, excursions=4.0 * rng.standard_t(3, COUNT)))
+    for metre in range(25):
+        for metrics in (shaken, alone):
+            metrics.add("back", 5.0 + metre, 6.0 + metre, signal(4.0, 0.5))
+    judged = shaken.segments
+    assert judged["turn"].threshold(60.0) > judged["back"].threshold(60.0) == alone.segments["back"].threshold(60.0)
+    kpis, silent = shaken.kpis(55.0, 60.0), alone.kpis(55.0, 60.0)
+    assert (curve(kpis) >= curve(silent) - 1e-12).all()
+    assert kpis["noise_gaussian"] == 0.0
+    assert kpis["call_threshold"] > silent["call_threshold"] == threshold(SENSOR, 60.0)
+
+
+def test_nothing_was_inspected():
+    kpis = RoundTripMetrics(SENSOR, "best").kpis(55.0, 60.0)
+    assert kpis == DetectionMetrics(SENSOR).kpis(55.0, 60.0) | {"call_threshold": HALF}
