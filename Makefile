@@ -7,7 +7,7 @@ STAMP := $(VENV)/.complete
 # pip leaves compiling Python files to their first import, which must then be kept
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: setup demo test test-slow test-processors quick lint types kernels test-pythons test-ray browser test-app docs clean
+.PHONY: setup demo test test-slow test-haswell test-bounds test-processors quick lint types kernels test-pythons test-ray browser test-app docs clean
 
 setup: $(STAMP)
 
@@ -32,8 +32,8 @@ kernels: setup
 	$(BIN)/python -m probe_env.compile_kernels
 
 # two test processes on two cores: threads of linear algebra would wait for each other
-test test-slow test-processors quick: export OPENBLAS_NUM_THREADS = 1
-test test-slow test-processors quick: export OMP_NUM_THREADS = 1
+test test-slow test-haswell test-bounds test-processors quick: export OPENBLAS_NUM_THREADS = 1
+test test-slow test-haswell test-bounds test-processors quick: export OMP_NUM_THREADS = 1
 PYTEST := $(BIN)/pytest --numprocesses 2 --dist worksteal
 
 # make test TESTS=tests/envs runs a part
@@ -42,11 +42,16 @@ test: setup
 	$(MAKE) --jobs=2 --output-sync=target lint types kernels
 	$(PYTEST) -m "not slow" $(TESTS)
 
-# what takes long: the wheel, the site, training, real kills, ensembles, bounds checks, and the statistics as another
-# processor rounds them and with other seeds (test-processors has all of them)
+# what takes long: the wheel, the site, training, real kills, ensembles; then, side by side, bounds checks and the
+# statistics as another processor rounds them (test-processors has more processors, and other seeds)
 test-slow: setup kernels
 	$(PYTEST) -m slow $(TESTS)
-	$(BIN)/python tests/processors.py --only haswell 'by 1' --numprocesses 2 --dist worksteal
+	$(MAKE) --jobs=2 --output-sync=target test-haswell test-bounds
+
+test-haswell: setup
+	$(BIN)/python tests/processors.py --only haswell
+
+test-bounds: setup
 	$(BIN)/pytest tests/physics/test_bounds.py
 
 test-processors: setup kernels
