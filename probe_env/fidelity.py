@@ -6,7 +6,7 @@ fast or changes, the vibration is underestimated; ``steady_feed`` limits time-la
 "auto" uses the errors of the accuracy study relative to a converged mesh with a fine step, upper ends of 95 %
 intervals: at constant lengths of 10, 30, 40 and 50 m with contact stiffnesses of 1e4, 1e5 and 1e6 N/m, and over whole
 insertions with time-lapse. They are errors in time and mesh; the error of the model (walls, contact stiffness) is
-larger (docs/accuracy.md).
+larger (docs/fidelity.md).
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""Where compiled kernels are kept, and that they are those of the sources.
+"""Chooses a writable folder for compiled kernels and deletes kernels that are older than their sources.
 
-numba keeps them beside the sources, else in the user's cache folder; without either ``njit(cache=True)`` raises when a
-kernel is imported. It takes a kernel as long as its own file is what it was, whatever happened to the functions of
-other files that are compiled into it. Both must therefore be seen to before the first kernel is imported.
+numba stores kernels beside the sources, else in the user's cache folder; if it can write neither, importing a kernel
+fails. It checks a kernel's own file only, not the functions of other files that are compiled into it. Call
+``ensure_kernel_cache`` before the first kernel is imported.
 """
 
 from __future__ import annotations

@@ -40,7 +40,7 @@ class Controller(Protocol):
 
 
 @runtime_checkable
-class ModelPredictivePolicy(Protocol):
+class PlanningPolicy(Protocol):
     """Model-predictive control on copies of the simulator; an upper bound for feedback."""
 
     def decide(
@@ -75,7 +75,7 @@ class PolicyBatch:
         for k in np.flatnonzero(active).tolist():
             controller, start = self.controllers[k], np.array([self.states[k] is None])
             assert controller is not None
-            if isinstance(controller, ModelPredictivePolicy) and episodes is not None:
+            if isinstance(controller, PlanningPolicy) and episodes is not None:
                 planning.setdefault(id(controller), []).append(k)
                 continue
             action, self.states[k] = controller.predict(
@@ -84,7 +84,7 @@ class PolicyBatch:
             actions[k] = action[0]
         for which in planning.values():
             controller = self.controllers[which[0]]
-            assert isinstance(controller, ModelPredictivePolicy)
+            assert isinstance(controller, PlanningPolicy)
             assert episodes is not None
             before = [self.states[k] for k in which]
             actions[which], after = controller.decide(episodes, which, observation[which], before)

@@ -43,7 +43,7 @@ def started(inspects="best"):
 
 def sums_of(scorer, end, squares):
     """Sums of a period: length, squares, within the limit, and the squares of a signal, here the same."""
-    return scorer.count(period_to(end), np.array([[1.0, squares, squares <= 1.0, squares, squares]]))[0, :4]
+    return scorer.sums_over_length(period_to(end), np.array([[1.0, squares, squares <= 1.0, squares, squares]]))[0, :4]
 
 
 def round_trip(inspects, insertion, withdrawal):

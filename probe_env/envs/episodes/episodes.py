@@ -137,7 +137,7 @@ class Episodes:
         return np.array([s.scene.tube.helix_length for s in self.batch.simulators])
 
     def time_lapse(self, targets: FloatArray) -> FloatArray:
-        """(N,) time-lapse factor of a period with targets (N, 2): how much faster the length changes than the motion.
+        """(N,) time-lapse factor of a period with targets (N, 2): only period / factor of the motion is simulated.
 
         Vibration on insertion is nearly steady, so metres may be skipped. On withdrawal the motion is a transient of
         the turn or of a change of feed, which time-lapse would spread over more metres.

@@ -163,8 +163,8 @@ class Scorer:
         assert window.tension is not None
         ratio = window.statistics[MEASURES[config.vibration_measure][0]] / config.limit
         squares = [window.statistics[f"{name}_rms_{unit}"] ** 2 for name, unit in SIGNALS.items()]
-        each_metre = np.column_stack([np.ones(len(ratio)), rules.capped_square(config, ratio), ratio <= 1.0, *squares])
-        sums = self.count(record, each_metre)
+        per_metre = np.column_stack([np.ones(len(ratio)), rules.capped_square(config, ratio), ratio <= 1.0, *squares])
+        sums = self.sums_over_length(record, per_metre)
         tension = window.statistics["tension_mean_n"]
         is_slack = rules.slack(config, tension, record.after) & (self.direction > 0.0)
         terms = rules.cost_terms(config, is_slack, tension, np.nanmax(window.tension, axis=0), record.buckling_load)
@@ -213,10 +213,10 @@ class Scorer:
     def _detection(self) -> DetectionMetrics | RoundTripMetrics:
         return DetectionMetrics(self.config.sensor)
 
-    def count(self, record: StepRecord, each_metre: FloatArray) -> FloatArray:
-        """(N, COLUMNS) sums of ``each_metre`` (N, COLUMNS) over the length inspected in the period."""
+    def sums_over_length(self, record: StepRecord, per_metre: FloatArray) -> FloatArray:
+        """(N, COLUMNS) sums of ``per_metre`` (N, COLUMNS) over the length inspected in the period."""
         length = rules.travel(self.config, record.before, record.after, record.window.feed_speed)
-        return np.where(record.good, length, 0.0)[:, None] * each_metre
+        return np.where(record.good, length, 0.0)[:, None] * per_metre
 
     def _detect(self, k: int, inspected: float, seconds: float, signal: FilteredSignal) -> None:
         """Add the signal-to-noise of a period with an inspected length [m] and a duration of motion [s]."""
@@ -272,11 +272,11 @@ class RoundTripScorer(Scorer):
     def _detection(self) -> DetectionMetrics | RoundTripMetrics:
         return RoundTripMetrics(self.config.sensor, self.config.inspects)
 
-    def count(self, record: StepRecord, each_metre: FloatArray) -> FloatArray:
-        """See ``Scorer.count``."""
-        sums = np.zeros_like(each_metre)
+    def sums_over_length(self, record: StepRecord, per_metre: FloatArray) -> FloatArray:
+        """See ``Scorer.sums_over_length``."""
+        sums = np.zeros_like(per_metre)
         for k in np.flatnonzero(record.good).tolist():
-            after, insertion, measured = record.after[k], self._insertion[k], each_metre[k]
+            after, insertion, measured = record.after[k], self._insertion[k], per_metre[k]
             self._piece[k], self._on_insertion[k] = after, True
             if after > self.reached[k]:
                 self._piece[k] = self.reached[k], after

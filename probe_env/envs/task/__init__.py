@@ -12,11 +12,11 @@ from probe_env.envs.task.rules import (
     capped_square,
     consecutive_slack,
     cost_terms,
-    costs,
     drive_counts,
     ending,
     metre_cost,
     metre_reward,
+    penalties,
     reward_terms,
     score,
     slack,
@@ -28,6 +28,6 @@ from probe_env.envs.task.scales import action_in, action_of, share_between, shar
 __all__ = [
     "COSTS", "ENDINGS", "END_TOLERANCE", "FAILURES", "MEASURES", "VISIBLE_FIELDS", "Measure", "Score", "ScoredPass",
     "TaskConfig", "action_in", "action_of", "air_used", "any_ending", "capped_square", "consecutive_slack",
-    "cost_terms", "costs", "describe", "drive_counts", "ending", "metre_cost", "metre_reward", "reward_terms", "score",
-    "share_between", "share_of", "slack", "travel", "ungrouped", "uninspected_weight", "value_at",
+    "cost_terms", "describe", "drive_counts", "ending", "metre_cost", "metre_reward", "penalties", "reward_terms",
+    "score",     "share_between", "share_of", "slack", "travel", "ungrouped", "uninspected_weight", "value_at",
 ]  # fmt: skip

@@ -153,10 +153,13 @@ def cost_terms(
     return {name: np.asarray(is_so, dtype=float) for name, is_so in zip(COSTS, unsafe, strict=True)}
 
 
-def costs(
+def penalties(
     config: TaskConfig, squares: FloatArray | float, seconds: FloatArray | float, air: FloatArray | float
 ) -> dict[str, FloatArray | float]:
-    """Costs in the reward by name: of metres times their ``capped_square``, of seconds and of air [m3]."""
+    """Negative terms of the reward by name; the safety costs are ``cost_terms``.
+
+    ``squares``: metres times their ``capped_square``; ``air`` in m3.
+    """
     return {
         "vibration": config.vibration_weight * squares,
         "time": config.time_weight * seconds,
@@ -173,7 +176,7 @@ def metre_cost(
     config: TaskConfig, squares: FloatArray | float, feed: FloatArray | float, air: FloatArray | float
 ) -> FloatArray:
     """Cost (N,) of a metre without progress, from its mean ``capped_square``, feed speed [m/s] and air [m3/s]."""
-    vibration, *per_second = costs(config, squares, 1.0, air).values()
+    vibration, *per_second = penalties(config, squares, 1.0, air).values()
     return np.asarray(sum((cost / feed for cost in per_second), start=vibration))
 
 
@@ -183,7 +186,7 @@ def metre_reward(config: TaskConfig, cost: FloatArray) -> FloatArray:
 
 
 def uninspected_weight(config: TaskConfig) -> float:
-    """Cost of an uninspected metre: the largest cost of inspecting one.
+    """Charge for an uninspected metre: the largest cost of a metre plus the reward that it would have earned.
 
     So neither ending early nor crawling to the time limit pays.
     """
@@ -216,7 +219,7 @@ def reward_terms(
         action_change: (N, 2) change of the action; None: no term "jerk".
     """
     terms = {"progress": np.asarray(config.progress_weight * inspected)}
-    terms |= {name: -np.asarray(cost) for name, cost in costs(config, squares, seconds, air).items()}
+    terms |= {name: -np.asarray(cost) for name, cost in penalties(config, squares, seconds, air).items()}
     if action_change is not None:
         terms["jerk"] = -config.jerk_weight * (action_change**2).sum(axis=1)
     return terms | {

@@ -55,7 +55,7 @@ class Method(ABC):
         precision: floating-point type of its kernel.
         single_share: run time of a single probe divided by that of a full group.
         memory: numbers per node that it stores between steps.
-        on_nodes: whether its mesh has ``nodes_per_pitch`` nodes; such methods have one solution on equal meshes.
+        on_nodes: whether its mesh has ``nodes_per_pitch`` nodes; equal meshes give equal solutions.
         simulates_withdrawal: whether it simulates compression on the outer wall, and nodes that leave at the root.
     """
 
