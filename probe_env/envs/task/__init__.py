@@ -29,5 +29,5 @@ __all__ = [
     "COSTS", "ENDINGS", "END_TOLERANCE", "FAILURES", "MEASURES", "VISIBLE_FIELDS", "Measure", "Score", "ScoredPass",
     "TaskConfig", "action_in", "action_of", "air_used", "any_ending", "capped_square", "consecutive_slack",
     "cost_terms", "describe", "drive_counts", "ending", "metre_cost", "metre_reward", "penalties", "reward_terms",
-    "score",     "share_between", "share_of", "slack", "travel", "ungrouped", "uninspected_weight", "value_at",
+    "score", "share_between", "share_of", "slack", "travel", "ungrouped", "uninspected_weight", "value_at",
 ]  # fmt: skip
