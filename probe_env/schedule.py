@@ -156,12 +156,15 @@ def _from_csv(path: Path) -> tuple[str, list[tuple[str, Mapping[str, Any]]]]:
     try:
         for row in table:
             line = first + table.line_num
-            if not row:
+            if not any(map(str.strip, row)):
                 continue
+            if header and len(row) == len(header) + 1 and not row[-1].strip():  # a comma behind the last value
+                row.pop()
             if not header:
                 header = _header(path, line, row)
             elif len(row) != len(header):
-                raise FileError(path, f"line {line} has {len(row)} values for {len(header)} columns{SEPARATORS}")
+                hint = SEPARATORS if len(row) > len(header) or any(";" in cell for cell in row) else ""
+                raise FileError(path, f"line {line} has {len(row)} values for {len(header)} columns{hint}")
             else:
                 used = ((name, value) for name, value in zip(header, row, strict=True) if name in COLUMNS)
                 named.append((f"line {line}", dict(used)))
@@ -179,7 +182,7 @@ def _header(path: Path, line: int, row: list[str]) -> list[str]:
     if len(header) > MOST_COLUMNS:
         raise FileError(path, f"line {line}: {len(header)} columns are more than {MOST_COLUMNS}")
     for name in header:
-        if header.count(name) > 1:
+        if name and header.count(name) > 1:
             raise FileError(path, f"column {name!r} appears {header.count(name)} times in the header")
     _check_columns(path, header)
     return header

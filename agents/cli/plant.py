@@ -25,7 +25,9 @@ class ReadLog:
     columns: tyro.conf.UseAppendAction[Annotated[tuple[str, ...], tyro.conf.arg(metavar="HEAD=QUANTITY[UNIT]")]] = ()
     """Quantities of columns with unknown headings: "Vorschub [mm/s]=feed_speed", "v=feed_speed[mm/s]". Can be repeated.
     Quantities: time, date (of a clock in another column), inserted_length, feed_speed, air_supply, root_tension,
-    radial_acceleration_rms, axial_acceleration_rms, rf_noise_rms."""
+    radial_acceleration_rms, axial_acceleration_rms, rf_noise_rms; none: leave the column out."""
+    missing: tyro.conf.UseAppendAction[Annotated[tuple[str, ...], tyro.conf.arg(metavar="VALUE")]] = ()
+    """Text or number that marks a missing value, in addition to NaN, -999.25, 9999 and the like. Can be repeated."""
     output: File = None
     """Clean file (.csv); default: output/NAME-clean.csv."""
     plot: File = None
@@ -67,7 +69,15 @@ class ReadLog:
             if target and (target.resolve() == path.resolve() or (target.exists() and target.samefile(path))):
                 raise ValueError(f"{str(target)!r} is the log itself; choose another file")
         air = None if self.air_supply is None else self.air_supply / 3600.0
-        log = read_log(path, self.columns, bounds=bounds, sheet=self.sheet, decimal=self.decimal, air_supply_rate=air)
+        log = read_log(
+            path,
+            self.columns,
+            bounds=bounds,
+            sheet=self.sheet,
+            decimal=self.decimal,
+            air_supply_rate=air,
+            missing=self.missing,
+        )
         write_atomically(output, log.to_csv())
         print_log(log, path)
         written = [output, *([draw_log(log, self.plot)] if self.plot else [])]
@@ -94,6 +104,8 @@ class Calibrate:
     """Name of the tube of each log; logs of one tube share a friction. Default: one tube for each helix diameter."""
     columns: tyro.conf.UseAppendAction[Annotated[tuple[str, ...], tyro.conf.arg(metavar="HEAD=QUANTITY[UNIT]")]] = ()
     """Quantities of columns with unknown headings, see `probe-env log --help`."""
+    missing: tyro.conf.UseAppendAction[Annotated[tuple[str, ...], tyro.conf.arg(metavar="VALUE")]] = ()
+    """Text or number that marks a missing value, see `probe-env log --help`."""
 
     def run(self) -> None:
         """Read, sample, store, print."""
@@ -107,7 +119,7 @@ class Calibrate:
         from probe_env import Plant
 
         plant = plant_at(self.tube) or Plant()
-        cases = read_cases(self.logs, plant, self.helix_diameters, self.tubes, self.columns)
+        cases = read_cases(self.logs, plant, self.helix_diameters, self.tubes, self.columns, self.missing)
         calibration = calibrate(cases, plant, stored_response(), str(self.tube or "tube"))
         target = self.output / "calibration.json"
         write_json(target, calibration.to_json() | {"provenance": origin()})

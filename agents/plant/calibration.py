@@ -139,7 +139,12 @@ class Calibration:
 
 
 def read_cases(
-    paths: Sequence[Path], plant: Plant, helix_diameters: Sequence[float], tubes: Sequence[str], columns: Sequence[str]
+    paths: Sequence[Path],
+    plant: Plant,
+    helix_diameters: Sequence[float],
+    tubes: Sequence[str],
+    columns: Sequence[str],
+    missing: Sequence[str] = (),
 ) -> list[Case]:
     """Read the logs and assign their tubes; all arguments are checked before the first log is read.
 
@@ -178,7 +183,7 @@ def read_cases(
     cases = []
     for label, file, tube, diameter in zip(labels, files, names, diameters, strict=True):
         scene = plant.scene.model_copy(update={"tube": {"helix_diameter": diameter}})
-        cases.append(Case(label, tube, scene, metres_of(read_log(file, columns))))
+        cases.append(Case(label, tube, scene, metres_of(read_log(file, columns, missing=missing))))
     return cases
 
 

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
-from agents.plant.quantities import QUANTITIES
+from agents.plant.quantities import QUANTITIES, plain, split_head
 from agents.plant.reader import Channels, IntArray, Table
+from agents.plant.times import MORE_THAN_NUMBER
 from probe_env.arrays import FloatArray
 from probe_env.schedule import POSITIONS
 from probe_env.settings import within
@@ -24,6 +26,10 @@ STANDSTILL: Final = 2e-3
 """Speed below which the probe is at a standstill [m/s]: a tenth of the slowest feed of the task."""
 DWELL: Final = 1.0
 """Duration of the shortest standstill [s]."""
+WRONG_UNIT: Final = 10.0
+"""Ratio of the encoder's motion to the integrated speed from which a unit is wrong."""
+SHORTEST: Final = 1.0
+"""Duration of the shortest log [s]; less has another unit of time."""
 ROUNDS: Final = 12
 """Rounds of the search for the worst rows; later rounds also halve the intervals, so that the search ends."""
 
@@ -88,7 +94,7 @@ def clean(channels: Channels, bounds: Bounds) -> CleanLog:
     """
     table = channels.table
     timed = np.flatnonzero(~np.isnan(channels.time))
-    time, values, rows = _merged(channels, timed)
+    time, values, rows = _merged(channels, timed, bounds)
     steps = np.diff(time)
     _check_gaps(table, rows, steps, "no rows", bounds.gap)
     long = steps[steps > USUAL_SPACING * np.median(steps)]
@@ -98,7 +104,7 @@ def clean(channels: Channels, bounds: Bounds) -> CleanLog:
         repairs.missing += int(np.isnan(column).sum())
         values[name] = _bridged(channels, name, time, column, rows, bounds.gap)
     speed, encoder = values.pop("feed_speed", None), values.pop("inserted_length", None)
-    length, notes = encoder, tuple[str, ...]()
+    length, notes = encoder, channels.notes
     if speed is not None:
         means = speed[:-1] if table.steps else 0.5 * (speed[1:] + speed[:-1])
         fed = np.concatenate([[0.0], np.cumsum(means * steps)])
@@ -106,9 +112,13 @@ def clean(channels: Channels, bounds: Bounds) -> CleanLog:
             length = bounds.start_length + fed
         else:
             by_encoder, (absolute, relative) = length - length[0], AGREEMENT
+            if by_encoder[-1] > WRONG_UNIT * fed[-1] > WRONG_UNIT * absolute:
+                problem = f"the encoder moves {by_encoder[-1]:.4g} m, and speed times time is {fed[-1]:.4g} m"
+                hint = "is the unit of time, length or speed right? --columns 'HEAD=none' leaves the speed out"
+                raise table.error(rows[-1], f"{problem}: {hint}", channels.indices["feed_speed"])
             excess = np.abs(fed - by_encoder) - (absolute + relative * np.abs(by_encoder))
             if excess[k := int(excess.argmax())] > 0.0:
-                notes = (
+                notes += (
                     f"The speed column and the encoder disagree: {fed[k]:.4g} m and {by_encoder[k]:.4g} m up to"
                     f" {time[k]:.4g} s differ by more than {absolute:g} m and {100 * relative:g} %;"
                     " the encoder is used.",
@@ -132,11 +142,13 @@ def clean(channels: Channels, bounds: Bounds) -> CleanLog:
     return CleanLog(time, rising, (low, high), values, repairs, notes, rows)
 
 
-def _merged(channels: Channels, rows: IntArray) -> tuple[FloatArray, dict[str, FloatArray], IntArray]:
+def _merged(channels: Channels, rows: IntArray, bounds: Bounds) -> tuple[FloatArray, dict[str, FloatArray], IntArray]:
     """Time from 0, values averaged over rows of equal time, and the first row of each, for the rows with a time."""
     table, k = channels.table, channels.indices["time"]
     if len(rows) < 2:
         raise table.error(0, f"{len(rows)} rows have a time: at least two are needed", k)
+    number = not re.search(MORE_THAN_NUMBER, table.columns[k][rows[0]].as_py())
+    unit = f"is the unit of time right? - declare it, --columns '{plain(split_head(table.heads[k])[0])}=time[UNIT]'"
     time = np.round(channels.time[rows] - channels.time[rows[0]], DIGITS)
     steps, most = np.diff(time), POSITIONS["time_s"][1]
     if steps.min() < 0.0:
@@ -149,6 +161,12 @@ def _merged(channels: Channels, rows: IntArray) -> tuple[FloatArray, dict[str, F
     if time[-1] > most:
         problem = f"{time[-1]:.6g} s are more than {most:g} s: cut the log, or check the unit of time"
         raise table.error(rows[-1], problem, k)
+    if time[-1] < SHORTEST:
+        problem = f"the whole log lasts {time[-1]:.6g} s, less than {SHORTEST:g} s"
+        raise table.error(rows[-1], problem + f": {unit} (d, h or min)" * number, k)
+    if number and np.median(steps) > bounds.gap:
+        problem = f"most rows are {np.median(steps):.6g} s apart or more, and {bounds.gap:g} s are interpolated: {unit}"
+        raise table.error(rows[1], f"{problem}, or raise --gap", k)
     first = np.flatnonzero(np.diff(time, prepend=-1.0) > 0.0)
     means = {n: group_means(v[rows], first, QUANTITIES[n].rms) for n, v in channels.values.items()}
     return time[first], means, rows[first]

@@ -93,6 +93,7 @@ def read_log(
     sheet: str | None = None,
     decimal: str = "auto",
     air_supply_rate: float | None = None,
+    missing: Sequence[str] = (),
 ) -> Log:
     """Read the log of an inspection rig: text with any separator, or an Excel sheet.
 
@@ -103,6 +104,7 @@ def read_log(
         sheet: sheet of a workbook; None: the first.
         decimal: "point", "comma", or "auto": from the file.
         air_supply_rate: air of a log without that column [m3/s].
+        missing: texts and numbers that mark missing values, in addition to NaN, -999.25 and the like.
 
     Raises:
         FileNotFoundError: no such file.
@@ -115,7 +117,7 @@ def read_log(
         raise ValueError(f"decimal = {decimal!r} is not one of {', '.join(DECIMALS)}")
     if air_supply_rate is not None:
         within("air_supply_rate", air_supply_rate, 0.0, RANGES[AIR][1] / HOUR, "m3/s")
-    channels = read_channels(path, sheet, options, DECIMALS[decimal], air_supply_rate)
+    channels = read_channels(path, sheet, options, DECIMALS[decimal], air_supply_rate, missing)
     table, whole = channels.table, clean(channels, bounds)
     share = 0.49 * bounds.tolerance  # for standstills and for interpolation; the rest is for rounding
     rows: IntArray
@@ -132,9 +134,12 @@ def read_log(
     if speed.max() > RANGES[FEED][1]:
         k = int(speed.argmax())
         problem = f"the inserted length jumps from {rounded[k]:.6g} to {rounded[k + 1]:.6g} m, at {speed[k]:.4g} m/s"
-        hint = f"the fastest feed is {RANGES[FEED][1]:g} m/s - correct the file, or raise --tolerance"
+        hint = "correct the file, or raise --tolerance for a noisy encoder"
+        if np.median(speed) > RANGES[FEED][1]:
+            hint = "are the units of time and length right? --columns 'HEAD=time[UNIT]' declares one"
         first, last = whole.rows[rows[k : k + 2]]
-        raise table.error_between(first, last, f"{problem}, but {hint} for a noisy encoder")
+        limit = f"the fastest feed is {RANGES[FEED][1]:g} m/s"
+        raise table.error_between(first, last, f"{problem}, but {limit} - {hint}")
     values = {name: group_means(column, rows, QUANTITIES[name].rms) for name, column in whole.values.items()}
     length[rows] = rounded
     deviation = float(outside(whole.time, rows, length, whole.band).max())

@@ -34,7 +34,7 @@ class Quantity(NamedTuple):
 _LENGTH, _FEED, _AIR = POSITIONS["inserted_length_m"][1], RANGES[FEED][1], RANGES[AIR][1] / HOUR
 _TIME_HEADS: Final = (
     "t, timestamp, time stamp, datetime, date time, elapsed time, zeit, zeitstempel, uhrzeit, zeitpunkt, datum uhrzeit,"
-    " messzeit"
+    " messzeit, x value, time time"
 )
 _LENGTH_HEADS: Final = (
     "insertion length, length, position, encoder, encoder position, länge, laenge, weg, weggeber, drehgeber,"
@@ -65,7 +65,9 @@ MEASURED: Final = tuple(QUANTITIES)[4:]
 """Quantities that a log may lack."""
 DATE: Final = "date"
 """Date of a clock time in another column."""
-NAMES: Final = (*QUANTITIES, DATE)
+IGNORED: Final = "none"
+"""Columns that are left out."""
+NAMES: Final = (*QUANTITIES, DATE, IGNORED)
 """Names accepted by ``--columns``."""
 _HEADS: Final = {DATE: "day, datum, tag, messdatum"} | {name: q.heads for name, q in QUANTITIES.items()}
 _BY_HEAD: Final = {
@@ -76,15 +78,22 @@ _UNIT: Final = re.compile(r"\s*(?:\[([^\[\]]*)\]|\(([^()]*)\)|\bin\s+([^\s\[\]()
 """At the end of a head: [mm/s], (m3/h), in mm/s."""
 _TOKEN: Final = "(?:ms|min|mm|cm|um|µm|m3|ft|kn|[smhnlg])"
 _SUFFIX: Final = re.compile(rf"(.+?)_({_TOKEN}(?:_per_{_TOKEN}2?)?)$")
+_BEHIND: Final = re.compile(rf"(.+)\s(/\s*)?({_TOKEN}(?:/{_TOKEN}[2²]?)?|m³(?:/{_TOKEN})?)", re.IGNORECASE)
+"""A unit behind a space: "Feed Speed m/s", "Weg / mm"."""
 _CAPITALS: Final = {"n": "N", "kn": "kN"}
 
+_CLOCK_FORM: Final = re.compile(r"[ymdhstj]+(?:[:./ -]+[ymdhstjf0]+)+", re.IGNORECASE)
+"""Form of a time in a row of units: hh:mm:ss, TT.MM.JJJJ hh:mm:ss."""
 LONGEST_UNIT: Final = 40
 """Characters."""
 _SUPERSCRIPTS: Final = str.maketrans({"²": "2", "³": "3", "¹": "1", "⁻": "-", "·": "*", "⋅": "*", "μ": "µ"})
 _POWER: Final = re.compile(r"(?<=[A-Za-zµ])(?:\^|\*\*)?(-?[1-3])(?![\w^*])")
 _SHAPE: Final = re.compile(r"[A-Za-zµ_]+(?:\*\*-?[1-3])?(?:[*/ ][A-Za-zµ_]+(?:\*\*-?[1-3])?)*")
 """Units that are passed to pint, which would also compute powers of large numbers."""
-_WORDS: Final = {"sek": "s", "sec": "s", "sekunden": "s", "minuten": "min", "std": "h", "stunden": "h"}
+_WORDS: Final = {
+    "sek": "s", "sec": "s", "sekunden": "s", "minuten": "min", "std": "h", "stunden": "h", "tage": "d",
+    "scfm": "ft**3/min", "cfm": "ft**3/min", "slpm": "l/min", "lpm": "l/min", "fpm": "ft/min", "kn": "kN", "dan": "daN",
+}  # fmt: skip
 _OF_DIMENSION: Final = {
     "m/s**2": (r"^(m?)(?:g|G|gn|g_n)$", lambda match: f"{'milli' * bool(match[1])}standard_gravity"),
     "m**3/s": (r"^[Nn](?=(?:m\*\*3|[lL])(?:/|$))", lambda _: ""),  # normal cubic metres and litres
@@ -100,12 +109,14 @@ def split_head(head: str) -> tuple[str, str]:
     if suffix := _SUFFIX.fullmatch(head.strip().lower()):
         unit = suffix[2].replace("_per_", "/")
         return head.strip()[: suffix.end(1)], _CAPITALS.get(unit, unit)
+    if (behind := _BEHIND.fullmatch(head.strip())) and plain(behind[1]) in _BY_HEAD:
+        return behind[1].strip(), behind[3]
     return head.strip(), ""
 
 
 def plain(words: str) -> str:
     """Words of a heading for comparison: lower case, single spaces."""
-    return re.sub(r"[\s_.\-:]+", " ", words).strip().casefold()
+    return re.sub(r"[\s_.\-:/]+", " ", words).strip().casefold()
 
 
 def quantity_of(head: str) -> str | None:
@@ -141,15 +152,20 @@ def parse_columns(texts: Sequence[str]) -> tuple[ColumnOption, ...]:
             raise ValueError(f"{problem}, with one of {', '.join(NAMES)}")
         if name in options:
             raise ValueError(f"columns = {text[:100]!r}: {name} is named twice, but comes from one column")
-        options[name] = ColumnOption(head.strip(), name, unit)
+        options[name if name != IGNORED else text] = ColumnOption(head.strip(), name, unit)
     return tuple(options.values())
 
 
+class UnknownUnitError(ValueError):
+    """A text that is not a unit."""
+
+
 def si_factor(unit: str, quantity: Quantity) -> float:
-    """Factor from ``unit`` to the SI unit of a quantity, by pint.
+    """Factor from ``unit`` to the SI unit of a quantity, by pint. Capitals may stand for small letters: M/MIN.
 
     Raises:
-        ValueError: an unknown unit, or a unit of another dimension.
+        UnknownUnitError: an unknown unit.
+        ValueError: a unit of another dimension.
         ModuleNotFoundError: pint is not installed; the units of clean files do not need it.
     """
     if unit == quantity.unit:
@@ -159,22 +175,26 @@ def si_factor(unit: str, quantity: Quantity) -> float:
     text = _WORDS.get(text.rstrip(".").lower(), text)
     if quantity.si in _OF_DIMENSION:
         text = re.sub(*_OF_DIMENSION[quantity.si], text)
-    example = f"give one like {quantity.unit}: --columns 'HEAD={quantity.name}[{quantity.unit}]'"
+    scale = f"convert the column to {quantity.unit} in the file, or leave it out, --columns 'HEAD={IGNORED}'"
+    spell = f"write it like {quantity.unit}, --columns 'HEAD={quantity.name}[UNIT]'; if it is no such unit, {scale}"
     if len(text) > LONGEST_UNIT or not _SHAPE.fullmatch(text):
-        raise ValueError(f"{unit[:LONGEST_UNIT]!r} is not a unit - {example}")
+        raise UnknownUnitError(f"{unit[:LONGEST_UNIT]!r} is not a unit - {spell}")
     import pint
 
-    try:
-        return float(pint.Quantity(1.0, pint.Unit(text)).to(quantity.si).magnitude)
-    except pint.UndefinedUnitError:
-        raise ValueError(f"the unit {unit!r} is unknown - {example}") from None
-    except pint.DimensionalityError:
-        raise ValueError(f"{unit!r} is not a unit of {quantity.name} - {example}") from None
-    except (pint.PintError, ValueError, TypeError, ArithmeticError, AttributeError) as error:
-        raise ValueError(f"the unit {unit!r} cannot be read: {error} - {example}") from error
+    problems: list[Exception] = []
+    for spelling in dict.fromkeys((text, text.lower() if text.isupper() else text)):
+        try:
+            return float(pint.Quantity(1.0, pint.Unit(spelling)).to(quantity.si).magnitude)
+        except (pint.PintError, ValueError, TypeError, ArithmeticError, AttributeError) as error:
+            problems.append(error)
+    if isinstance(problems[0], pint.DimensionalityError):
+        raise ValueError(f"{unit!r} is not a unit of {quantity.name} - {scale}")
+    raise UnknownUnitError(f"the unit {unit!r} is unknown - {spell}") from problems[0]
 
 
 def looks_like_unit(cell: str) -> bool:
     """Whether a cell below a heading may be its unit."""
     text = cell.strip("[]() ").translate(_SUPERSCRIPTS)
+    if _CLOCK_FORM.fullmatch(text):
+        return True
     return not text.isdigit() and re.fullmatch(rf"[A-Za-zµ°%/*^ \d-]{{0,{LONGEST_UNIT}}}", text) is not None

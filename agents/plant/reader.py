@@ -13,7 +13,7 @@ import warnings
 import zipfile
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime, time
 from pathlib import Path
 from typing import Any, Final
@@ -25,17 +25,30 @@ import pyarrow.compute as pc
 
 from agents.plant.quantities import (
     DATE,
+    IGNORED,
+    MEASURED,
     NAMES,
     QUANTITIES,
     ColumnOption,
     Quantity,
+    UnknownUnitError,
     looks_like_unit,
     plain,
     quantity_of,
     si_factor,
     split_head,
 )
-from agents.plant.times import MISSING, MORE_THAN_NUMBER, CellError, check, matches, seconds, with_dates
+from agents.plant.times import (
+    DAY,
+    MISSING,
+    MORE_THAN_NUMBER,
+    CellError,
+    are_serial_days,
+    check,
+    matches,
+    seconds,
+    with_dates,
+)
 from probe_env.arrays import FloatArray
 from probe_env.files import MEBI, FileError, read_bytes
 from probe_env.schedule import CSV_COMMENT
@@ -55,6 +68,16 @@ _COMMENT: Final = r"^\s*[#%!]|^[\s|:+=-]*$"
 _SPACED_TIME: Final = r"(\d{4}-\d\d-\d\d|\d\d\.\d\d\.\d{4})[ \t]+(\d\d:\d\d)"
 _END_PIPES: Final = r"^\s*\||\|\s*$"
 _NUMBER_OR_TIME: Final = re.compile(r"[+-]?[\d.,'  ]*\d[\d.,'  ]*(?:[eE][+-]?\d+)?|\d[\d:.,TZ +-]*:[\d:.,TZ +-]*")
+_MARKER: Final = re.compile(
+    r"-?(?:9{4,}(?:\.(?:25|9+))?|999\.25|32767|65535|2147483647)|-(?:999(?:\.9+)?|99\.9+|32768|2147483648)"
+)
+"""Numbers that loggers write for a missing value; 2147483647 is that of 32 bits."""
+MOST_NUMBER: Final = 1e30
+"""Numbers from here on mark a missing value or an overload."""
+SHORTEST_STEP: Final = 5e-3
+"""Mean step of a time without a unit [s]; a shorter one may be of hours."""
+FAR: Final = 10.0
+"""Ratio of an overload code to the largest other value."""
 _SPACES: Final = "[ '’\u00a0\u2009\u202f]"
 _POWER: Final = r"(?:[eE][+-]?\d+)"
 
@@ -78,6 +101,8 @@ class Table:
     row_word: str  # word for a row in errors: line or row
     separator: str
     steps: bool  # whether values are constant until the next row
+    null: tuple[str, ...] = ()  # what marks missing values by a LAS header
+    notes: tuple[str, ...] = ()  # repairs of the file
 
     def error(self, row: int, problem: str, column: int | None = None) -> FileError:
         """An error at a row and column."""
@@ -97,10 +122,16 @@ class Channels:
     time: FloatArray  # (rows,) seconds from any origin
     values: Mapping[str, FloatArray]  # quantity -> (rows,)
     indices: Mapping[str, int]  # quantity -> index of its column
+    notes: tuple[str, ...] = ()  # what was taken as missing or as days
 
 
 def read_channels(
-    path: Path, sheet: str | None, options: Sequence[ColumnOption], decimal: str, air: float | None
+    path: Path,
+    sheet: str | None,
+    options: Sequence[ColumnOption],
+    decimal: str,
+    air: float | None,
+    missing: Sequence[str] = (),
 ) -> Channels:
     """Read the quantities of a text file or of a sheet of a workbook.
 
@@ -110,6 +141,7 @@ def read_channels(
         options: quantities of unknown headings.
         decimal: "." or ","; empty: detected.
         air: air of a log without that column [m3/s].
+        missing: texts and numbers that mark missing values, in addition to NaN, -999.25 and the like.
 
     Raises:
         FileNotFoundError: no such file.
@@ -125,8 +157,11 @@ def read_channels(
             hint = "; or give a constant, --air-supply M3_PER_H" if names == ("air_supply",) else ""
             problem = f"no column for {' or '.join(names)}; found: {_listed(table.heads)}"
             raise FileError(path, f"{problem} - name it: --columns 'HEAD={names[0]}'{hint}")
-    cells, column = {name: table.columns[k] for name, k in indices.items()}, date
+    declared = {text: number for text in (*table.null, *missing) if (number := _plain_number(text)) is not None}
+    words = [text for text in missing if text not in declared]
+    cells, column = {name: _without(table.columns[k], words) for name, k in indices.items()}, date
     values: dict[str, FloatArray] = {}
+    notes = list(table.notes)
     try:
         if date is not None:
             cells["time"] = with_dates(table.columns[date], cells["time"])
@@ -137,13 +172,71 @@ def read_channels(
         sign = decimal or _decimal_sign(table, {k: cells[name] for name, k in numbers.items()})
         for name in indices:
             column = indices[name]
-            scaled = _numbers(cells[name], sign) * factors[name] if name in factors else seconds(cells[name])
-            values[name] = _in_range(QUANTITIES[name], scaled)
+            if name not in factors:
+                values[name] = seconds(cells[name])
+                continue
+            head, read = table.heads[column], np.array(_numbers(cells[name], sign))
+            known = () if name == "time" else [*declared.values()]
+            markers = _blank_markers(read, known, name in MEASURED and not missing)
+            if markers:
+                notes.append(f"The column {head!r} has missing values, marked by {', '.join(markers)}.")
+            if name == "time" and not (units.get(name) or _written_unit(table, column)):
+                present = read[~np.isnan(read)]
+                if are_serial_days(present):
+                    notes.append(f"The column {head!r} has no unit and is read as serial days.")
+                    factors[name] = DAY
+                elif len(present) and 0.0 < np.ptp(present) < SHORTEST_STEP * (len(present) - 1):
+                    problem = f"without a unit, rows are less than {SHORTEST_STEP:g} s apart"
+                    raise CellError(0, f"{problem}: declare it, --columns '{plain(head)}=time[UNIT]' (s, min, h or d)")
+            values[name] = _in_range(QUANTITIES[name], read * factors[name])
     except CellError as error:
         raise table.error(error.row, error.problem, column) from None
     if "air_supply" not in values and air is not None:
         values["air_supply"] = np.full(len(table.lines), air)
-    return Channels(table, values.pop("time"), values, indices)
+    return Channels(table, values.pop("time"), values, indices, tuple(notes))
+
+
+def _without(cells: Any, words: Sequence[str]) -> Any:
+    """Texts (rows,), empty where they are one of ``words``."""
+    empty = pa.scalar("", pa.large_string())
+    return pc.if_else(pc.is_in(cells, pa.array(words, pa.large_string())), empty, cells) if words else cells
+
+
+def _blank_markers(values: FloatArray, declared: Sequence[float], suspect: bool) -> list[str]:
+    """Set numbers (rows,) that mark missing values to NaN, in place.
+
+    These are the declared ones, and -999.25, 9999, 32767 and the like if no other number reaches half of them.
+
+    Args:
+        values: numbers of a column.
+        declared: markers.
+        suspect: refuse a number that repeats and is more than ``FAR`` times as large as all others.
+
+    Returns:
+        the markers that were found.
+
+    Raises:
+        CellError: a suspect number.
+    """
+    found = [number for number in declared if (values == number).any()]
+    values[np.isin(values, found)] = np.nan
+    while np.isfinite(values).any():
+        for number in (np.nanmin(values), np.nanmax(values)):
+            at, size = values == number, np.abs(number)
+            rest = values[~at & ~np.isnan(values)]
+            known = _MARKER.fullmatch(f"{number:.12g}") or size >= MOST_NUMBER
+            if known and (len(rest) or number < 0.0) and (rest * np.sign(number)).max(initial=0.0) < 0.5 * size:
+                break
+            least = np.abs(rest[np.abs(rest) < 0.999 * size])  # without an overload of the other sign
+            if suspect and at.sum() > 1 and size > FAR * least.max(initial=0.0) > 0.0 and len(least) > 0.5 * len(rest):
+                problem = f"{number:g} repeats, and no other value is larger than {least.max():g}"
+                hint = f"if it marks an overload or a missing value, --missing={number:.9g}; else --missing=nan"
+                raise CellError(int(at.argmax()), f"{problem} - {hint}")
+        else:
+            break
+        found.append(float(number))
+        values[at] = np.nan
+    return [f"{number:.9g}" for number in found]
 
 
 def _read_table(path: Path, sheet: str | None, options: Sequence[ColumnOption]) -> Table:
@@ -154,7 +247,34 @@ def _read_table(path: Path, sheet: str | None, options: Sequence[ColumnOption]) 
         return _table_of(path, _sheet_lines(path, content, sheet), options, "row")
     if sheet is not None:
         raise FileError(path, f"not a workbook, so it has no sheet {sheet[:80]!r}: leave --sheet out")
-    return _table_of(path, _decoded(path, content).split("\n"), options, "line")
+    filled = content.rstrip(b"\0")
+    cut = len(content) - len(filled) if b"\0" not in filled else 0  # else UTF-16 or not a text
+    lines, null = _decoded(path, content[: len(content) - cut]).split("\n"), tuple[str, ...]()
+    if lines[0].upper().startswith("~V"):
+        lines, null = _las_lines(path, lines)
+    table = _table_of(path, lines, options, "line")
+    notes = (f"{cut} NUL bytes behind the last line, as of a power cut, were cut off.",) if cut else ()
+    return replace(table, null=null, notes=notes)
+
+
+def _las_lines(path: Path, lines: Sequence[str]) -> tuple[list[str], tuple[str, ...]]:
+    """Lines of a LAS 2.0 file (a log of a well) with its curves as heads and the other sections empty; its NULL."""
+    section, heads, null = "", list[str](), tuple[str, ...]()
+    for k, line in enumerate(lines):
+        if line.startswith("~"):
+            section = line[1:2].upper()
+            if section == "A" and heads:
+                rows = list(lines[k + 1 :])
+                return [*[""] * k, ("," if rows and "," in rows[0] else " ").join(heads), *rows], null
+        elif entry := re.match(r"\s*([^\s#.][^.]*?)\s*\.(\S*)\s*(.*?)\s*:", line):
+            name, unit, value = entry.groups()
+            if section == "C":
+                heads.append(name.replace(" ", "_") + f"[{unit}]" * bool(unit))
+            elif name.upper() == "NULL":
+                null = (value,)
+            elif name.upper() == "WRAP" and value.upper() == "YES":
+                raise FileError(path, f"line {k + 1}: a LAS file with wrapped rows: export it without WRAP, or as CSV")
+    raise FileError(path, "a LAS file without the sections ~Curve and ~ASCII: export it again, or as CSV")
 
 
 def _decoded(path: Path, content: bytes) -> str:
@@ -174,6 +294,7 @@ def _decoded(path: Path, content: bytes) -> str:
     else:
         raise FileError(path, f"line {line}: not a text file (byte 0x{byte:02x}): export it as text in UTF-8")
     text = text.rstrip("\x1a").replace("\r\n", "\n").replace("\r", "\n")  # end of file in DOS: Ctrl-Z
+    text = text.replace("\u2212", "-")
     if control := _CONTROL.search(text):
         line = text.count("\n", 0, control.start()) + 1
         problem = f"not a text file: a control character (0x{ord(control[0]):02x})"
@@ -244,6 +365,7 @@ def _table_of(path: Path, lines: list[str], options: Sequence[ColumnOption], wor
         (k + 1, separator, _split(_uncommented(lines[k])[: 100 * MOST_COLUMNS], separator))
         for k in filled
         for separator in separators
+        if separator != " " or max(map(lines[k].count, ";|,")) < 2  # a file of commas is not one of spaces
     ]
     best = max(candidates, key=lambda candidate: _named(candidate[2], options), default=None)
     if best is None or _named(best[2], options) < 2:
@@ -268,9 +390,12 @@ def _table_of(path: Path, lines: list[str], options: Sequence[ColumnOption], wor
     if filled_below and all(looks_like_unit(cell) and not _NUMBER_OR_TIME.fullmatch(cell) for cell in filled_below):
         units = [*(cell.strip("[]() ") for cell in below), *units][: len(heads)]
         numbers = numbers[1:]
+        third = [cell for cell in _split(lines[numbers[0] - 1], separator) if cell] if len(numbers) else []
+        if third and not any(re.search(r"^[\d+.,-]|\d:\d", cell) or re.match(MISSING, cell) for cell in third):
+            numbers = numbers[1:]  # names of objects, or "Smp" and "Avg"
     if not len(numbers):
         raise FileError(path, f"{word} {head}: a header without rows below it: at least two are needed")
-    columns = _columns(path, rows.take(pa.array(numbers - head - 1)), numbers, separator, len(heads), word)
+    columns = _columns(path, rows.take(pa.array(numbers - head - 1)), numbers, separator, heads, word)
     return Table(path, tuple(heads), tuple(units), columns, numbers, word, separator if text else "", steps)
 
 
@@ -302,8 +427,11 @@ def _split(line: str, separator: str) -> list[str]:
     return [cell.strip() for cell in cells]
 
 
-def _columns(path: Path, lines: Any, numbers: IntArray, separator: str, count: int, word: str) -> tuple[Any, ...]:
-    """Trimmed texts (rows,) of every column."""
+def _columns(
+    path: Path, lines: Any, numbers: IntArray, separator: str, heads: Sequence[str], word: str
+) -> tuple[Any, ...]:
+    """Trimmed texts (rows,) of every column; empty below last heads that no row fills."""
+    count = len(heads)
     if word == "line" and pc.any(pc.match_substring(lines, '"')).as_py():
         cells = pa.array(_quoted_rows(path, lines.to_pylist(), numbers, separator, count), pa.list_(pa.large_string()))
     elif separator == " ":
@@ -318,12 +446,17 @@ def _columns(path: Path, lines: Any, numbers: IntArray, separator: str, count: i
             lines = pc.if_else(pa.array(closed), pc.replace_substring_regex(lines, end, ""), lines)
         cells = pc.split_pattern(lines, separator)
     lengths = np.asarray(pc.list_value_length(cells))
-    wrong = np.flatnonzero(lengths != count)
+    filled = count
+    if (lengths == lengths[0]).all() and not any(map(quantity_of, heads[lengths[0] :])):
+        filled = min(count, int(lengths[0]))
+    wrong = np.flatnonzero(lengths != filled)
     if len(wrong):
         k = int(wrong[0])
         hint = f"correct that {word} or delete it"
         if k == len(lengths) - 1 and lengths[k] < count:
             hint = "the file ends within it: delete that line"
+        if len(wrong) == len(lengths) > 1 and lengths[k] < count:
+            hint = "the header has more names than the rows have values: correct it"
         elif separator == "," and len(wrong) == len(lengths) and lengths[k] > count:
             hint = "decimal commas and separating commas are ambiguous: export it with semicolons"
         values = f"{lengths[k]} values for {count} columns" + f", separated by {SEPARATORS[separator]}" * (
@@ -331,7 +464,9 @@ def _columns(path: Path, lines: Any, numbers: IntArray, separator: str, count: i
         )
         raise FileError(path, f"{word} {numbers[k]}: {values} - {hint}")
     flat = pc.utf8_trim(pc.list_flatten(cells), " \t\u00a0\u2009\u202f\ufeff")
-    return tuple(flat.take(pa.array(np.arange(k, len(flat), count))) for k in range(count))
+    empty = pa.array([""], pa.large_string()).take(pa.array(np.zeros(len(lengths), dtype=int)))
+    columns = (flat.take(pa.array(np.arange(k, len(flat), filled))) for k in range(filled))
+    return (*columns, *[empty] * (count - filled))
 
 
 def _quoted_rows(path: Path, lines: list[str], numbers: IntArray, separator: str, count: int) -> list[list[str]]:
@@ -350,6 +485,7 @@ def _quoted_rows(path: Path, lines: list[str], numbers: IntArray, separator: str
 def _indices(table: Table, options: Sequence[ColumnOption]) -> tuple[dict[str, int], dict[str, str]]:
     """Index of the column of every quantity, and units from ``--columns``."""
     indices: dict[str, int] = {}
+    ignored: list[int] = []
     for option in options:
         found = [k for k, head in enumerate(table.heads) if head == option.head]
         found = found or [k for k, head in enumerate(table.heads) if head and option.means(head)]
@@ -357,13 +493,16 @@ def _indices(table: Table, options: Sequence[ColumnOption]) -> tuple[dict[str, i
         if len(found) != 1:
             often = "does not exist" if not found else f"exists {len(found)} times: rename one in the file"
             raise FileError(table.path, f"{name} of --columns {often}; found: {_listed(table.heads)}")
-        if found[0] in indices.values():
+        if found[0] in {*indices.values(), *ignored}:
             raise FileError(table.path, f"{name} is named twice in --columns: a column is one quantity")
-        indices[option.quantity] = found[0]
+        if option.quantity == IGNORED:
+            ignored.append(found[0])
+        else:
+            indices[option.quantity] = found[0]
     by_option = dict(indices)
     for k, head in enumerate(table.heads):
         quantity = quantity_of(head)
-        if k in by_option.values() or quantity is None or quantity in by_option:
+        if k in {*by_option.values(), *ignored} or quantity is None or quantity in by_option:
             continue
         if quantity in indices:
             both = f"columns {table.heads[indices[quantity]]!r} and {head!r} are both {quantity}"
@@ -372,18 +511,28 @@ def _indices(table: Table, options: Sequence[ColumnOption]) -> tuple[dict[str, i
     return indices, {option.quantity: option.unit for option in options if option.unit}
 
 
+def _written_unit(table: Table, k: int) -> str:
+    """Unit of a column by its heading or the row below; empty without."""
+    return split_head(table.heads[k])[1] or table.units[k]
+
+
 def _factor(table: Table, quantity: Quantity, k: int, units: Mapping[str, str]) -> float:
-    head = table.heads[k]
-    unit = units.get(quantity.name) or split_head(head)[1] or table.units[k]
+    head, written = table.heads[k], _written_unit(table, k)
+    unit = units.get(quantity.name) or written
     if not unit and quantity.name == "time":
         unit = quantity.unit
     if not unit:
         hint = f"declare it, --columns '{plain(head)}={quantity.name}[UNIT]'"
         raise FileError(table.path, f"column {head!r} has no unit: {hint}")
     try:
-        return si_factor(unit, quantity)
+        factor = si_factor(unit, quantity)
+        if written != unit:  # a declaration does not make newtons of volts
+            with suppress(UnknownUnitError):
+                si_factor(written, quantity)
     except ValueError as error:
-        raise FileError(table.path, f"column {head!r}: {error}") from error
+        problem = str(error).replace("'HEAD=", f"'{plain(split_head(head)[0])}=")
+        raise FileError(table.path, f"column {head!r}: {problem}") from error
+    return factor
 
 
 def _in_range(quantity: Quantity, values: FloatArray) -> FloatArray:
@@ -409,7 +558,7 @@ def _decimal_sign(table: Table, columns: Mapping[int, Any]) -> str:
             return sign
     if table.separator in ("", ",") and not _first(columns, ","):  # then a point is no thousands separator
         return "."
-    if unclear := _first(columns, r"[.,]"):
+    if unclear := _first(columns, r"[.,]\d"):
         row, k = unclear
         problem = f"{columns[k][row].as_py()[:40]!r} is ambiguous: decimal sign or thousands separator"
         raise table.error(row, f"{problem}: give --decimal point or comma", k)
@@ -439,6 +588,12 @@ def _first(columns: Mapping[int, Any], pattern: str) -> tuple[int, int] | None:
         ]
         if found:
             return min(found)
+    return None
+
+
+def _plain_number(text: str) -> float | None:
+    with suppress(ValueError):
+        return float(text.replace(",", "."))
     return None
 
 

@@ -11,7 +11,10 @@ import pyarrow.compute as pc
 
 from probe_env.arrays import BoolArray, FloatArray
 
-MISSING: Final = r"(?i)^(?:|-+|n/?a|#n/?a|nan|null|none|nil|\?|#nv|#value!|#wert!|#div/0!)$"
+MISSING: Final = (
+    r"(?i)^(?:|-+|n/?a|#n/?a|[+-]?nan(?:\(\w*\))?|[+-]?1[.,]#(?:[qs]nan|ind)0*|null|none|nil|\?"
+    r"|#nv|#value!|#wert!|#div/0!)$"
+)
 MORE_THAN_NUMBER: Final = r"\d[:\-]\d|\d\.\d+\.\d{4}"
 """Pattern in a timestamp or a clock time."""
 DAY: Final = 86_400.0
@@ -25,6 +28,15 @@ _DATE: Final = r"^(?:\d{4}-\d\d-\d\d|\d\d\.\d\d\.\d{4})$"
 _MIDNIGHT: Final = r"[T ]00:00(?::00(?:[.,]0+)?)?$"
 """Time of day that sheets add to a date."""
 _LIKE: Final = "is not a time like the first: 2024-05-31T14:05:09.25, 14:05:09.25 or a number"
+
+
+def are_serial_days(times: FloatArray) -> bool:
+    """Whether times (n,) are days of Excel or catman (1982 to 2064) or of MATLAB.
+
+    Read as seconds they would last less than 1 s.
+    """
+    first, last = times.min(initial=np.inf), times.max(initial=-np.inf)
+    return bool(last - first < 1.0 and (30_000.0 < first < 60_000.0 or 724_000.0 < first < 754_000.0))
 
 
 class CellError(ValueError):

@@ -108,6 +108,19 @@ FOREIGN = {
         head=GERMAN, row="{t};{k};200,0;63,0", k=lambda _, x: f"{x:.3f},0".replace(".", "\u202f")
     ),
     "exponents and signs": lines(row="+{t}E+0;{mm}e-3;2.0E-1;+6.3e1"),
+    "a minus of Unicode": lines(row="{t};{mm}e\u22123;{v};{a}"),
+    "units behind a space": lines(
+        ",", head="Time s;Inserted Length mm;Feed Speed mm/s;Air Flow m³/h", row=LONG
+    ),
+    "units behind a slash": lines(head="Zeit / s;Weg / mm;Vorschub / (m/s);Luft / m3/h", row="{t};{mm};{v};{a}"),
+    "a form of time below": lines(head="Time;Length;Feed;Air\nhh:mm:ss;m;m/s;m³/h", row=CLOCK, c="%H:%M:%S"),
+    "objects below": lines(head="time;length;feed;air\ns;m;m/s;m3/h\n;probe-a;probe-a;probe-a"),
+    "a last head that no row fills": lines(head=HEAD + ";Comment"),
+    "capital units": lines(
+        head="TIME (SEC);LENGTH (MM);FEED (M/MIN);AIR FLOW (SLPM)", row="{t};{mm};12.0;1050"
+    ),
+    "a LAS file": "~Version\n VERS. 2.0 : LAS\n WRAP. NO :\n~Curve\n TIME.S : time\n LENGTH.M : length\n"
+    " FEED.M/MIN : feed\n AIR.M3/H :\n~A  TIME LENGTH FEED AIR\n" + lines("  ", head="", row="{t};{x};12.0;{a}")[1:],
     "other columns": lines(head=HEAD + ";p [bar];note", row=SHORT + ";1.013;ok"),
     "a sheet": sheet(
         ["rig 3"], ["Zeit", "Weg", "Vorschub", "Luft"], ["s", "mm", "mm/s", "m³/h"],
@@ -155,7 +168,7 @@ CHANGED = [
     ("\n3;", "\n9;", "lines 4 to 5: no rows for 7 s, more than the 5 s"),
     ("m/s", "furlongs/s?", "column 'feed [furlongs/s?]': 'furlongs/s?' is not a unit"),
     ("m/s", "wubbles", "column 'feed [wubbles]': the unit 'wubbles' is unknown"),
-    ("m/s", "kg", "column 'feed [kg]': 'kg' is not a unit of feed_speed - give one like m/s"),
+    ("m/s", "kg", "column 'feed [kg]': 'kg' is not a unit of feed_speed - convert the column to m/s"),
     (" [m/s]", "", "column 'feed' has no unit: declare it, --columns 'feed=feed_speed[UNIT]'"),
     ("length [m]", "Vorschub [m/s]", "columns 'Vorschub [m/s]' and 'feed [m/s]' are both feed_speed"),
     ("time", "clock?", "no column for time; found: 'clock? [s]', 'length [m]'"),
@@ -289,6 +302,95 @@ def test_broken_files_are_refused_in_one_line(tmp_path):
             if not str(error).startswith(str(path)) or message not in str(error) or not str(error).isprintable():
                 failures.append((message, str(error)))
     assert not failures
+
+
+def rig(path, tensions, head="tension [N]", times=range(8), time="time [s]"):
+    """Write a log with these tensions, at 0.2 m/s."""
+    rows = (f"{t};{5 + 0.2 * k:.1f};0.2;63;{n}" for k, (t, n) in enumerate(zip(times, tensions, strict=True)))
+    path.write_text("\n".join([f"{time};length [m];feed [m/s];air [m3/h];{head}", *rows]))
+    return path
+
+
+TENSIONS = ["2.0", "2.1", "2.2", "2.3", "2.4", "2.5", "2.6", "2.7"]
+RAMP = pytest.approx([2.0, 2.1, 2.2, 2.3, 2.4, 2.5, 2.6, 2.7])
+
+
+def test_markers_of_missing_values_are_interpolated_and_counted(tmp_path):
+    path = tmp_path / "rig.csv"
+    for marker in ("-999.25", "-9999", "9999", "-999", "32767", "9.9E+37", "1.#QNAN", "-1.#IND", "-nan(ind)", "NAN"):
+        for cells in ([marker, "2.4"], [marker, marker]):
+            log = read_log(rig(path, [*TENSIONS[:3], *cells, *TENSIONS[5:]]))
+            assert log.measured["root_tension"] == RAMP, marker
+            assert log.repairs.missing == cells.count(marker)
+            assert len(log.notes) == marker[-1].isdigit()
+    for marker in ("Bad", "-1", "0,0"):
+        log = read_log(rig(path, [*TENSIONS[:3], marker.replace(",", "."), *TENSIONS[4:]]), missing=(marker,))
+        assert log.measured["root_tension"] == RAMP
+        assert log.time[0] == 0.0  # numbers of time are no markers
+    las = "~V\nVERS. 2.0:\n~W\nNULL. -1 :\n~C\nTIME.S:\nLENGTH.M:\nAIR.M3/H:\nTENSION.N:\n~A\n"
+    path.write_text(las + "\n".join(f"{k} {5 + 0.2 * k:.1f} 63 {-1 if k == 3 else 2 + 0.1 * k}" for k in range(8)))
+    assert read_log(path).measured["root_tension"] == RAMP
+
+
+def test_a_marker_among_like_numbers_is_a_number(tmp_path):
+    path = tmp_path / "rig.csv"
+    path.write_text("time [s];length [mm];air [m3/h]\n0;9599;63\n1;9799;63\n2;9999;63\n3;10199;63")
+    log = read_log(path)
+    assert log.inserted_length[2] == pytest.approx(9.999, abs=1e-6)
+    assert (log.repairs.missing, log.notes) == (0, ())
+
+
+def test_an_overload_that_repeats_is_refused_unless_it_is_declared(tmp_path):
+    path = tmp_path / "rig.csv"
+    overloads = ["327.67", "-327.68", "327.67", "-327.68", "327.67"]
+    for marked in (overloads[:1] + overloads[2:3], overloads[:3]):
+        rig(path, [*TENSIONS[:3], *marked, *TENSIONS[3 + len(marked) :]])
+        with pytest.raises(FileError, match=r"line 5, column 'tension \[N\]': 327.67 repeats.*--missing=327.67"):
+            read_log(path)
+        assert read_log(path, missing=("327.67", "-327.68")).measured["root_tension"] == RAMP
+    assert read_log(path, missing=("nan",)).measured["root_tension"].max() == 327.67
+
+
+def test_times_that_make_no_sense(tmp_path):
+    path, seconds = tmp_path / "rig.csv", range(8)
+    for origin in (45_720.5, 738_949.5):  # Excel, MATLAB
+        log = read_log(rig(path, TENSIONS, times=[f"{origin + t / 86_400:.9f}" for t in seconds], time="Time"))
+        assert log.time == pytest.approx(list(seconds), abs=1e-4)
+        assert "is read as serial days" in log.notes[0]
+    hours = [f"{9.5 + t / 3600:.7f}" for t in seconds]
+    with pytest.raises(FileError, match=r"without a unit, rows are less.*--columns 'time=time\[UNIT\]'"):
+        read_log(rig(path, TENSIONS, times=hours, time="Time"))
+    log = read_log(path, ("Time=time[h]",))
+    assert log.time == pytest.approx(list(seconds), abs=1e-3)
+    with pytest.raises(FileError, match="less than 1 s"):
+        read_log(rig(path, TENSIONS, times=[f"{45_720 + t / 86_400:.9f}" for t in seconds], time="Time [s]"))
+    with pytest.raises(
+        FileError, match=r"rows are 1000 s apart or more, .*is the unit of time right\? .*'time=time\[UNIT"
+    ):
+        read_log(rig(path, TENSIONS, times=[1000 * t for t in seconds], time="Time"))
+    rig(path, TENSIONS * 20, times=[f"{t / 60:.9f}" for t in range(160)], time="Time")
+    with pytest.raises(FileError, match=r"encoder moves 31.8 m, and speed times time is 0.53 m: is the unit of time"):
+        read_log(path)
+    with pytest.raises(FileError, match=r"at 12 m/s, but the fastest feed is 2 m/s - are the units of time and length"):
+        read_log(path, ("feed=none",))
+
+
+def test_a_wrong_unit_is_not_repaired_by_declaring_another(tmp_path):
+    path = rig(tmp_path / "rig.csv", TENSIONS, head="tension [V]")
+    wrong = "'V' is not a unit of root_tension - convert the column to N in the file, or leave it out, "
+    for columns in ((), ("tension=root_tension[N]",)):
+        with pytest.raises(FileError) as caught:
+            read_log(path, columns)
+        assert str(caught.value).endswith(f"column 'tension [V]': {wrong}--columns 'tension=none'")
+    assert "root_tension" not in read_log(path, ("tension=none",)).measured
+
+
+def test_nuls_of_a_power_cut_are_cut_off(tmp_path):
+    path = tmp_path / "rig.csv"
+    path.write_bytes(BAD.encode() + b"\r\n" + bytes(800))
+    log = read_log(path)
+    assert log.inserted_length == pytest.approx([5.0, 5.2, 5.4, 5.6], abs=2e-6)
+    assert log.notes == ("800 NUL bytes behind the last line, as of a power cut, were cut off.",)
 
 
 def test_sizes_and_pipes(tmp_path, monkeypatch):

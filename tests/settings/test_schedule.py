@@ -60,12 +60,19 @@ def test_a_log_with_time_and_length_is_a_schedule_over_time(tmp_path):
         Schedule.read(path)
 
 
+def test_commas_behind_the_last_value_and_empty_rows_are_skipped(tmp_path):
+    path = tmp_path / "schedule.csv"
+    path.write_text(HEAD.replace("\n", ",\n") + "5,0.4,63,\n25,0.15,100,\n,,\n,,,\n")
+    assert Schedule.read(path).feed_speed == (0.4, 0.15)
+
+
 BROKEN = {
     "empty": ("", "empty: a header"),
     "no rows": (HEAD, "no rows"),
     "no position": ("feed_speed_m_per_s,air_supply_m3_per_h\n0.2,63\n", "one of the columns time_s"),
     "no feed": ("time_s,air_supply_m3_per_h\n0,63\n", "column feed_speed_m_per_s is missing"),
     "column twice": ("time_s,time_s,feed_speed_m_per_s,air_supply_m3_per_h\n0,0,1,63\n", "'time_s' appears 2 times"),
+    "decimal commas": (HEAD + "5,0,0,4,63\n", "5 values for 3 columns - semicolons or decimal commas"),
     "short row": (HEAD + "5,0.2\n", "line 2 has 2 values for 3 columns"),
     "text": (HEAD + "5,fast,63\n", "line 2, feed_speed_m_per_s = 'fast' is not a number"),
     "hole": (HEAD + "5,,63\n", "line 2, feed_speed_m_per_s = '' is not a number"),
