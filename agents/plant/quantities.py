@@ -177,6 +177,8 @@ def si_factor(unit: str, quantity: Quantity) -> float:
         text = re.sub(*_OF_DIMENSION[quantity.si], text)
     scale = f"convert the column to {quantity.unit} in the file, or leave it out, --columns 'HEAD={IGNORED}'"
     spell = f"write it like {quantity.unit}, --columns 'HEAD={quantity.name}[UNIT]'; if it is no such unit, {scale}"
+    if re.match(r"[%‰°]|1/", text):
+        raise ValueError(f"{unit!r} is not a unit of {quantity.name} - {scale}")
     if len(text) > LONGEST_UNIT or not _SHAPE.fullmatch(text):
         raise UnknownUnitError(f"{unit[:LONGEST_UNIT]!r} is not a unit - {spell}")
     import pint

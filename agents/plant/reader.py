@@ -76,6 +76,8 @@ MOST_NUMBER: Final = 1e30
 """Numbers from here on mark a missing value or an overload."""
 SHORTEST_STEP: Final = 5e-3
 """Mean step of a time without a unit [s]; a shorter one may be of hours."""
+SUSPECT: Final = ("air_supply", *MEASURED)
+"""Quantities whose accepted range is wide enough for overload codes."""
 FAR: Final = 10.0
 """Ratio of an overload code to the largest other value."""
 _SPACES: Final = "[ '’\u00a0\u2009\u202f]"
@@ -177,7 +179,7 @@ def read_channels(
                 continue
             head, read = table.heads[column], np.array(_numbers(cells[name], sign))
             known = () if name == "time" else [*declared.values()]
-            markers = _blank_markers(read, known, name in MEASURED and not missing)
+            markers = _blank_markers(read, known, name in SUSPECT and not missing)
             if markers:
                 notes.append(f"The column {head!r} has missing values, marked by {', '.join(markers)}.")
             if name == "time" and not (units.get(name) or _written_unit(table, column)):
@@ -205,7 +207,8 @@ def _without(cells: Any, words: Sequence[str]) -> Any:
 def _blank_markers(values: FloatArray, declared: Sequence[float], suspect: bool) -> list[str]:
     """Set numbers (rows,) that mark missing values to NaN, in place.
 
-    These are the declared ones, and -999.25, 9999, 32767 and the like if no other number reaches half of them.
+    These are the declared ones, and -999.25, 9999, 32767 and the like if they lie apart: no other number reaches half
+    of them, or the distance to the others is more than their range.
 
     Args:
         values: numbers of a column.
@@ -224,11 +227,12 @@ def _blank_markers(values: FloatArray, declared: Sequence[float], suspect: bool)
         for number in (np.nanmin(values), np.nanmax(values)):
             at, size = values == number, np.abs(number)
             rest = values[~at & ~np.isnan(values)]
-            known = _MARKER.fullmatch(f"{number:.12g}") or size >= MOST_NUMBER
-            if known and (len(rest) or number < 0.0) and (rest * np.sign(number)).max(initial=0.0) < 0.5 * size:
+            known = (len(rest) or number < 0.0) and (_MARKER.fullmatch(f"{number:.12g}") or size >= MOST_NUMBER)
+            low = (rest * np.sign(number)).max(initial=0.0) < 0.5 * size
+            if known and (low or np.abs(rest - number).min() > np.ptp(rest)):
                 break
             least = np.abs(rest[np.abs(rest) < 0.999 * size])  # without an overload of the other sign
-            if suspect and at.sum() > 1 and size > FAR * least.max(initial=0.0) > 0.0 and len(least) > 0.5 * len(rest):
+            if suspect and 1 < at.sum() <= len(least) and size > FAR * least.max(initial=0.0) > 0.0:
                 problem = f"{number:g} repeats, and no other value is larger than {least.max():g}"
                 hint = f"if it marks an overload or a missing value, --missing={number:.9g}; else --missing=nan"
                 raise CellError(int(at.argmax()), f"{problem} - {hint}")

@@ -334,6 +334,8 @@ def test_markers_of_missing_values_are_interpolated_and_counted(tmp_path):
 
 def test_a_marker_among_like_numbers_is_a_number(tmp_path):
     path = tmp_path / "rig.csv"
+    log = read_log(rig(path, [f"-{600 + k}" if k != 3 else "-999.25" for k in range(8)]))
+    assert log.measured["root_tension"][3] == pytest.approx(-603.0)
     path.write_text("time [s];length [mm];air [m3/h]\n0;9599;63\n1;9799;63\n2;9999;63\n3;10199;63")
     log = read_log(path)
     assert log.inserted_length[2] == pytest.approx(9.999, abs=1e-6)
@@ -349,6 +351,11 @@ def test_an_overload_that_repeats_is_refused_unless_it_is_declared(tmp_path):
             read_log(path)
         assert read_log(path, missing=("327.67", "-327.68")).measured["root_tension"] == RAMP
     assert read_log(path, missing=("nan",)).measured["root_tension"].max() == 327.67
+    path.write_text(HEAD + "".join(f"\n{t};{5 + 0.2 * t:.1f};0.2;{655.35 if t in (3, 4) else 63}" for t in range(8)))
+    with pytest.raises(FileError, match=r"line 5, column 'air \[m3/h\]': 655.35 repeats"):
+        read_log(path)
+    path.write_text(HEAD + "".join(f"\n{t};{5 + 0.2 * t:.1f};0.2;{63 if t > 2 else 0.5}" for t in range(8)))
+    assert read_log(path).notes == ()  # the air is switched on
 
 
 def test_times_that_make_no_sense(tmp_path):
@@ -383,6 +390,9 @@ def test_a_wrong_unit_is_not_repaired_by_declaring_another(tmp_path):
             read_log(path, columns)
         assert str(caught.value).endswith(f"column 'tension [V]': {wrong}--columns 'tension=none'")
     assert "root_tension" not in read_log(path, ("tension=none",)).measured
+    for unit in ("%", "°C", "1/min", "rpm", "bar"):
+        with pytest.raises(FileError, match=f"'{unit}' is not a unit of root_tension - convert the column to N"):
+            read_log(rig(path, TENSIONS, head=f"tension [{unit}]"), ("tension=root_tension[N]",))
 
 
 def test_nuls_of_a_power_cut_are_cut_off(tmp_path):

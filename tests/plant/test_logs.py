@@ -206,6 +206,10 @@ def test_columns_may_be_given_several_times_and_the_input_is_never_written(refus
     rig.write_text(RIG)
     assert main(["log", "rig.csv", "--columns", "v=feed_speed[mm/s]", "--columns", "Weg=inserted_length"]) == 0
     assert Schedule.read("output/rig-clean.csv").feed_speed == pytest.approx((0.2, 0.2, 0.2))
+    Path("bad.csv").write_text(RIG.replace("1;5,2;200;63", "1;5,2;Bad;-1"))
+    named = ["--columns", "v=feed_speed[mm/s]", "--missing", "Bad", "--missing=-1"]
+    assert main(["log", "bad.csv", *named]) == 0
+    assert Schedule.read("output/bad-clean.csv").air_supply_rate == pytest.approx((63 / 3600,) * 3)
     capsys.readouterr()
     Path("link.csv").hardlink_to(rig)
     for output in ("rig.csv", "./rig.csv", "link.csv"):
