@@ -150,8 +150,8 @@ class InsertionEnv(ProbeEnv):
     ## Rewards
     The sum of `info["reward_terms"]`: progress (1 per metre), vibration (-(rms / 0.1 mm)^2 per metre, the ratio up
     to 3), time (-0.1 per second), air (-0.2 per m3), jerk (-0.005 times the squared change of the action),
-    uninspected (per metre that is not inspected when the episode ends, the largest cost of inspecting a metre plus its progress),
-    diverged (-10). Weights are fields of `probe_env.envs.task.TaskConfig`.
+    uninspected (per metre that is not inspected when the episode ends, the largest cost of inspecting a metre plus
+    its progress), diverged (-10). Weights are fields of `probe_env.envs.task.TaskConfig`.
 
     `info["cost"]` is separate from the reward. It is the sum of `info["cost_terms"]`, each 0 or 1 per period:
     lost_drive (tension too low to drive, see Episode End), tension (above `tension_limit`, default 110 N), buckling
