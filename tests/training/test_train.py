@@ -315,7 +315,9 @@ def test_an_agent_of_both_passes_is_asked_on_both(tmp_path, validations, monkeyp
     assert bool(table["complete"].all())
     with pytest.raises(FileError, match=r'observations = way are not .*; "way" needs passes ='):
         make_policy(path, TaskConfig().full_observation)
-    with pytest.raises(ValueError, match=r"policy = 'shielded:.*agent.safetensors': the shield acts on the insertion only"):
+    with pytest.raises(
+        ValueError, match=r"policy = 'shielded:.*agent.safetensors': the shield acts on the insertion only"
+    ):
         make_policy(f"shielded:{path}", config)
 
 
