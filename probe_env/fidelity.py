@@ -158,7 +158,8 @@ def resolve_fidelity(
     Args:
         fidelity: name, settings, or a mapping of settings.
         scene: scene for "auto"; default: table 2. If its cable touches the walls between floats, or its couple counts
-            from the tangent, a mesh of nodes replaces superelements.
+            from the tangent, a mesh of nodes replaces superelements: the method is that of ``ON_MESH`` with
+            ``MESH_NODES`` per pitch, equal time-lapse, and a step of at most ``MESH_STEP``. Logged once.
         growing: whether the probe is inserted, for "auto".
         round_trip: whether the probe is also withdrawn.
 
@@ -169,22 +170,14 @@ def resolve_fidelity(
     if round_trip:
         return _round_trip(fidelity)
     scene = scene or Scene()
-    return _with_nodes(_preset_or_settings(fidelity, scene, growing), scene)
-
-
-def _with_nodes(fidelity: Fidelity, scene: Scene) -> Fidelity:
-    """The settings, with a mesh of nodes in place of superelements if the scene needs nodes between floats.
-
-    This is the case if the cable touches the walls or the couple counts from the tangent. The method is that of
-    ``ON_MESH`` with ``MESH_NODES`` per pitch, equal time-lapse, and a step of at most ``MESH_STEP``. Logged once.
-    """
+    chosen = _preset_or_settings(fidelity, scene, growing)
     needs_nodes = scene.contact.cable or scene.couple == "tangent"
-    if not needs_nodes or fidelity.method in ON_NODES or not fidelity.simulates:
-        return fidelity
-    step = min(fidelity.time_step, MESH_STEP)
-    update = {"method": ON_MESH[fidelity.method], "nodes_per_pitch": MESH_NODES, "time_step": step}
-    replacement = fidelity.model_copy(update=update)
-    _log_nodes(fidelity.method, summary_text(replacement))
+    if not needs_nodes or chosen.method in ON_NODES or not chosen.simulates:
+        return chosen
+    step = min(chosen.time_step, MESH_STEP)
+    update = {"method": ON_MESH[chosen.method], "nodes_per_pitch": MESH_NODES, "time_step": step}
+    replacement = chosen.model_copy(update=update)
+    _log_nodes(chosen.method, summary_text(replacement))
     return replacement
 
 

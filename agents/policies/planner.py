@@ -23,7 +23,7 @@ from probe_env import Context
 from probe_env.arrays import BoolArray, FloatArray
 from probe_env.envs.episodes import Episodes
 from probe_env.envs.episodes.scoring import RoundTripScorer
-from probe_env.envs.task import TaskConfig, metre_reward, penalties, uninspected_weight
+from probe_env.envs.task import TaskConfig, metre_reward, uninspected_weight
 from probe_env.envs.task.observations import in_si_units
 from probe_env.envs.vibration_map import CONTEXT, VibrationMap, stored_map
 from probe_env.physics.closed_forms import MEASURED, friction_from_tension
@@ -355,11 +355,11 @@ def remaining_reward_of_both_passes(episodes: Episodes, held: FloatArray) -> Flo
     inserting, uninspected = passes.direction > 0.0, length - passes.reached
     here = np.where(inserting, length - inserted, to_pass) / held[:, 0]
     back = np.where(inserting, length - passes.start, 0.0) / config.feed_speeds[1]
-    spent = penalties(config, shaken, here + back, held[:, 1] * here + config.air_supply_rates[0] * back)
+    air = held[:, 1] * here + config.air_supply_rates[0] * back
     # the vibration of the insertion is already charged; a withdrawal without vibration refunds it
-    refund = spent["vibration"] if config.inspects == "best" else 0.0
+    refund = config.vibration_weight * shaken if config.inspects == "best" else 0.0
     left = np.where(inserting, length - passes.start, to_pass)
     metres = uninspected if config.inspects == "best" else left
-    reward = config.progress_weight * metres + refund - spent["time"] - spent["air"]
+    reward = config.progress_weight * metres + refund - config.time_weight * (here + back) - config.air_weight * air
     lost_drive = -uninspected_weight(config) * (uninspected + left)
     return np.where(episodes.running, np.where(is_slack(episodes), lost_drive, reward), 0.0)

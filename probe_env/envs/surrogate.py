@@ -308,10 +308,11 @@ class SurrogateEpisodes:
         length, never = self.inserted_length, np.zeros(len(self), dtype=bool)
         endings = rules.ending(config, length, self.helix_length, self.slack_steps, self.time, stepped, never)
         squares = travel * rules.capped_square(config, ratio)
-        scored = rules.score(
-            config, stepped, endings, costs, inspected=travel, squares=squares, air=air,
-            uninspected=self.helix_length - length, action_change=change,
-        )  # fmt: skip
+        uninspected = np.where(rules.any_ending(endings) & config.growing, self.helix_length - length, 0.0)
+        rewards = rules.reward_terms(
+            config, travel, squares, np.full(len(self), config.period), air, uninspected, never, action_change=change
+        )
+        scored = Score(rewards, costs, endings, np.where(stepped, sum(rewards.values()), 0.0))
         added = {
             "reward": scored.reward,
             "inspected": travel,

@@ -295,9 +295,8 @@ def try_sections(
         for name in ("inserted_length", "feed_speed")
     )
     batch = SimulatorBatch(
-        scenes, fidelity.method, fidelity.time_step, fidelity.nodes_per_pitch, threads=threads,
-        seeds=[seed for seed in start_seeds(candidates) for _ in segment.positions], perturbation=PERTURBATION,
-        air_lag=AIR_LAG,
+        scenes, *fidelity.numerics, threads=threads, perturbation=PERTURBATION, air_lag=AIR_LAG,
+        seeds=[seed for seed in start_seeds(candidates) for _ in segment.positions],
     )  # fmt: skip
     settled = batch.advance(None, air, SETTLE, SAMPLE_PERIOD)
     by_snr = config.vibration_measure == "snr"

@@ -195,7 +195,8 @@ class Episodes:
         self._set_friction(which)
         active = np.zeros(len(self), dtype=bool)
         active[list(which)] = True
-        window = self._advance(None, np.full(len(self), self.config.settle_time), active)
+        settled = self.batch.advance(None, None, self.config.settle_time, SAMPLE_PERIOD, active, keep_samples=True)
+        window = self._with_noise(settled, active)
         infos = {}
         for k in which:
             self.batch.simulators[k].feed_length()
@@ -217,24 +218,21 @@ class Episodes:
             ValueError: an action is not valid; nothing has been advanced.
             RuntimeError: an active episode has ended and was not reset.
         """
-        stepped, actions = self._checked(actions, active)
-        targets = self.config.targets(actions, self.allow_standstill) * self.direction[:, None]
+        stepped = np.ones(len(self), dtype=bool) if active is None else np.asarray(active, dtype=bool)
+        requested = np.asarray(actions, dtype=np.float32)
+        if requested.shape != (len(self), 2):
+            raise ValueError(f"actions have shape {requested.shape}; accepted: ({len(self)}, 2), feed and air")
+        # probes that are not stepped keep their last action
+        requested = np.where(stepped[:, None], requested, self.actions).astype(np.float32)
+        targets = self.config.targets(requested, self.allow_standstill) * self.direction[:, None]
         check_running(self.running, stepped)
-        record = self._simulate(stepped, actions, targets)
+        record = self._simulate(stepped, requested, targets)
         scored = self.scorer.score(record)
         noise = normal_draws(self.rng, record.good, 2)
         self.sensors.update(self._measured(record.window), record.good, noise, self.rng)
         self.running &= ~(scored.terminated | scored.truncated)
         infos = [self._step_info(k, record, scored, targets) if stepped[k] else {} for k in range(len(self))]
         return Step(self.observation.copy(), scored.reward, scored.terminated, scored.truncated, infos)
-
-    def _checked(self, actions: npt.ArrayLike, active: BoolArray | None) -> tuple[BoolArray, npt.NDArray[np.float32]]:
-        """Which probes (N,) are stepped, and actions (N, 2); probes that are not stepped keep their last action."""
-        stepped = np.ones(len(self), dtype=bool) if active is None else np.asarray(active, dtype=bool)
-        requested = np.asarray(actions, dtype=np.float32)
-        if requested.shape != (len(self), 2):
-            raise ValueError(f"actions have shape {requested.shape}; accepted: ({len(self)}, 2), feed and air")
-        return stepped, np.where(stepped[:, None], requested, self.actions).astype(np.float32)
 
     def _simulate(self, stepped: BoolArray, actions: npt.NDArray[np.float32], targets: FloatArray) -> StepRecord:
         """Advance some probes by a control period towards targets (N, 2) [m/s], [m3/s]."""
@@ -246,8 +244,13 @@ class Episodes:
         for k in np.flatnonzero(stepped):
             simulator = self.batch.simulators[k]
             (simulator.feed_length if lapse[k] > 1.0 else simulator.follow_length)()
-        seconds = self.config.period / lapse
-        self.window = window = self._advance(targets, seconds, stepped)
+        seconds, parts = self.config.period / lapse, []
+        for duration in np.unique(seconds[stepped]) if stepped.any() else seconds[:1]:
+            part = stepped & (seconds == duration)
+            feed, air = targets.T
+            window = self.batch.advance(feed, air, float(duration), SAMPLE_PERIOD, part, keep_samples=True)
+            parts.append((part, self._with_noise(window, part)))
+        self.window = window = joined(parts)
         good = stepped & ~window.diverged
         return StepRecord(
             stepped=stepped,
@@ -263,19 +266,13 @@ class Episodes:
             signals={k: self.meter.last(k) for k in np.flatnonzero(good).tolist()},
         )
 
-    def _advance(self, targets: FloatArray | None, seconds: FloatArray, which: BoolArray) -> Window:
-        """Advance some probes by (N,) seconds towards targets (N, 2), or at constant feed; adds "noise_to_signal"."""
-        feed, air = (None, None) if targets is None else (targets[:, 0], targets[:, 1])
-        parts = []
-        for duration in np.unique(seconds[which]) if which.any() else seconds[:1]:
-            part = which & (seconds == duration)
-            window = self.batch.advance(feed, air, float(duration), SAMPLE_PERIOD, part, keep_samples=True)
-            assert window.radial is not None
-            noise, good = np.zeros(len(self)), np.flatnonzero(part & ~window.diverged)
-            if len(good):
-                noise[good] = 1.0 / self.meter.update(good, window.radial[:, good], window.feed_speed[good]).snr
-            parts.append((part, replace(window, statistics=window.statistics | {"noise_to_signal": noise})))
-        return joined(parts)
+    def _with_noise(self, window: Window, which: BoolArray) -> Window:
+        """The window of probes ``which`` (N,), with "noise_to_signal" among its statistics."""
+        assert window.radial is not None
+        noise, good = np.zeros(len(self)), np.flatnonzero(which & ~window.diverged)
+        if len(good):
+            noise[good] = 1.0 / self.meter.update(good, window.radial[:, good], window.feed_speed[good]).snr
+        return replace(window, statistics=window.statistics | {"noise_to_signal": noise})
 
     def _measured(self, window: Window) -> dict[str, FloatArray]:
         """Sensor values before noise, (N,) each in SI units, see ``observe``."""

@@ -181,10 +181,12 @@ class Scorer:
             config, record.after, record.helix_length, slack_steps, time, record.stepped, window.diverged
         )
         ends["complete"] = self.complete(ends["complete"], record)
-        scored = rules.score(
-            config, record.stepped, ends, costs, inspected=sums[:, 0], squares=sums[:, 1], air=record.air,
-            uninspected=self.uninspected(record), action_change=record.action_change,
+        uninspected = np.where(rules.any_ending(ends) & config.growing, self.uninspected(record), 0.0)
+        rewards = rules.reward_terms(
+            config, sums[:, 0], sums[:, 1], np.full(len(sums), config.period), record.air, uninspected,
+            ends["diverged"], action_change=record.action_change,
         )  # fmt: skip
+        scored = Score(rewards, costs, ends, np.where(record.stepped, sum(rewards.values()), 0.0))
         for k in np.flatnonzero(record.stepped).tolist():
             self.metrics[k].reward += float(scored.reward[k])
         return scored
@@ -215,7 +217,8 @@ class Scorer:
 
     def sums_over_length(self, record: StepRecord, per_metre: FloatArray) -> FloatArray:
         """(N, COLUMNS) sums of ``per_metre`` (N, COLUMNS) over the length inspected in the period."""
-        length = rules.travel(self.config, record.before, record.after, record.window.feed_speed)
+        config, feed_speed = self.config, record.window.feed_speed
+        length = record.after - record.before if config.growing else feed_speed * config.period
         return np.where(record.good, length, 0.0)[:, None] * per_metre
 
     def _detect(self, k: int, inspected: float, seconds: float, signal: FilteredSignal) -> None:

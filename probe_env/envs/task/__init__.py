@@ -16,11 +16,8 @@ from probe_env.envs.task.rules import (
     ending,
     metre_cost,
     metre_reward,
-    penalties,
     reward_terms,
-    score,
     slack,
-    travel,
     uninspected_weight,
 )  # fmt: skip
 from probe_env.envs.task.scales import action_in, action_of, share_between, share_of, value_at
@@ -28,6 +25,6 @@ from probe_env.envs.task.scales import action_in, action_of, share_between, shar
 __all__ = [
     "COSTS", "ENDINGS", "END_TOLERANCE", "FAILURES", "MEASURES", "VISIBLE_FIELDS", "Measure", "Score", "ScoredPass",
     "TaskConfig", "action_in", "action_of", "air_used", "any_ending", "capped_square", "consecutive_slack",
-    "cost_terms", "describe", "drive_counts", "ending", "metre_cost", "metre_reward", "penalties", "reward_terms",
-    "score", "share_between", "share_of", "slack", "travel", "ungrouped", "uninspected_weight", "value_at",
+    "cost_terms", "describe", "drive_counts", "ending", "metre_cost", "metre_reward", "reward_terms", "share_between",
+    "share_of", "slack", "ungrouped", "uninspected_weight", "value_at",
 ]  # fmt: skip

@@ -11,16 +11,7 @@ from pydantic import BeforeValidator, Field, ValidationInfo, model_validator
 from pydantic_core import PydanticCustomError
 
 from probe_env.arrays import FloatArray
-from probe_env.envs.task.scales import (
-    OBSERVATIONS,
-    PRIVILEGED,
-    PROBE,
-    ROUND_TRIP,
-    action_of,
-    share_between,
-    share_of,
-    value_at,
-)
+from probe_env.envs.task.scales import OBSERVATIONS, PRIVILEGED, PROBE, ROUND_TRIP, action_of, share_between
 from probe_env.inspection.sensor import Sensor
 from probe_env.scene import Scene
 from probe_env.settings import Model, Range, quantity, range_of, tuples
@@ -268,23 +259,24 @@ class TaskConfig(Observation, Disturbances, Limits, Reward, Actuators, Timing, R
         if bad.any():
             row, column = np.argwhere(bad)[0]
             raise ValueError(f"action[{column}] = {float(values[row, column])!r} is outside the accepted range -1 to 1")
-        ranges = (self.feed_speeds, self.air_supply_rates)
-        shares = share_of(values)
-        requested = self._in_steps(np.column_stack([value_at(shares[:, k], range_) for k, range_ in enumerate(ranges)]))
+        low, high = np.array([self.feed_speeds, self.air_supply_rates]).T
+        requested: FloatArray = low + 0.5 * (np.clip(values, -1.0, 1.0) + 1.0) * (high - low)
+        for column, step in enumerate((self.feed_speed_step, self.air_supply_step)):
+            if step > 0.0:
+                requested[:, column] = np.clip(step * np.round(requested[:, column] / step), low[column], high[column])
         requested[at_standstill, 0] = 0.0
         return requested
 
     def feasible(self, feed_speed: FloatArray | float, air_supply_rate: FloatArray | float) -> FloatArray:
         """(N, 2) feasible feed speed [m/s] and air supply [m3/s] nearest to the arguments: clipped and rounded."""
-        requested = ((feed_speed, self.feed_speeds), (air_supply_rate, self.air_supply_rates))
-        return self._in_steps(np.column_stack([np.clip(value, *range_) for value, range_ in requested]))
-
-    def _in_steps(self, requested: FloatArray) -> FloatArray:
-        ranges = (self.feed_speeds, self.air_supply_rates)
-        for column, step in enumerate((self.feed_speed_step, self.air_supply_step)):
-            if step > 0.0:
-                requested[:, column] = np.clip(step * np.round(requested[:, column] / step), *ranges[column])
-        return requested
+        columns = []
+        for value, range_, step in (
+            (feed_speed, self.feed_speeds, self.feed_speed_step),
+            (air_supply_rate, self.air_supply_rates, self.air_supply_step),
+        ):
+            nearest = np.clip(value, *range_)
+            columns.append(np.clip(step * np.round(nearest / step), *range_) if step > 0.0 else nearest)
+        return np.column_stack(columns)
 
     def actions(self, feed_speed: FloatArray | float, air_supply_rate: FloatArray | float) -> FloatArray:
         """(N, 2) actions of feed speeds [m/s] and air supplies [m3/s], clipped to the task's range."""

@@ -51,31 +51,6 @@ class Score(NamedTuple):
         return {name: float(self.endings[name][k]) for name in (*FAILURES, "complete")}
 
 
-def score(
-    config: TaskConfig,
-    stepped: BoolArray,
-    endings: dict[str, BoolArray],
-    costs: dict[str, FloatArray],
-    *,
-    inspected: FloatArray,
-    squares: FloatArray,
-    air: FloatArray,
-    uninspected: FloatArray,
-    action_change: FloatArray,
-) -> Score:
-    """Score of a control period in which some probes were ``stepped`` (N,).
-
-    ``endings`` are from ``ending`` and ``costs`` from ``cost_terms``. The others are those of ``reward_terms``;
-    ``uninspected`` is the remaining length now [m], which is charged if the episode ends.
-    """
-    remaining = np.where(any_ending(endings) & config.growing, uninspected, 0.0)
-    seconds = np.full(len(stepped), config.period)
-    rewards = reward_terms(
-        config, inspected, squares, seconds, air, remaining, endings["diverged"], action_change=action_change
-    )
-    return Score(rewards, costs, endings, np.where(stepped, sum(rewards.values()), 0.0))
-
-
 def ending(
     config: TaskConfig,
     inserted: FloatArray,
@@ -116,11 +91,6 @@ def slack(config: TaskConfig, tension: FloatArray, inserted: FloatArray) -> Bool
     return np.asarray((tension < config.required_tension) & drive_counts(config, inserted))
 
 
-def travel(config: TaskConfig, before: FloatArray, after: FloatArray, feed_speed: FloatArray) -> FloatArray:
-    """Length inspected in a period [m]: difference of inserted lengths; at constant length feed speed times period."""
-    return after - before if config.growing else feed_speed * config.period
-
-
 def air_used(config: TaskConfig, before: FloatArray, after: FloatArray) -> FloatArray:
     """Air used in a period [m3], by the supply rates [m3/s] at its ends (trapezoid)."""
     return 0.5 * (np.abs(before) + np.abs(after)) * config.period
@@ -153,20 +123,6 @@ def cost_terms(
     return {name: np.asarray(is_so, dtype=float) for name, is_so in zip(COSTS, unsafe, strict=True)}
 
 
-def penalties(
-    config: TaskConfig, squares: FloatArray | float, seconds: FloatArray | float, air: FloatArray | float
-) -> dict[str, FloatArray | float]:
-    """Negative terms of the reward by name; the safety costs are ``cost_terms``.
-
-    ``squares``: metres times their ``capped_square``; ``air`` in m3.
-    """
-    return {
-        "vibration": config.vibration_weight * squares,
-        "time": config.time_weight * seconds,
-        "air": config.air_weight * air,
-    }
-
-
 def capped_square(config: TaskConfig, ratio: FloatArray) -> FloatArray:
     """min(ratio, ratio_cap)^2, the unweighted vibration cost of a metre; ratio is vibration over its limit."""
     return np.asarray(np.minimum(ratio, config.ratio_cap) ** 2)
@@ -176,8 +132,7 @@ def metre_cost(
     config: TaskConfig, squares: FloatArray | float, feed: FloatArray | float, air: FloatArray | float
 ) -> FloatArray:
     """Cost (N,) of a metre without progress, from its mean ``capped_square``, feed speed [m/s] and air [m3/s]."""
-    vibration, *per_second = penalties(config, squares, 1.0, air).values()
-    return np.asarray(sum((cost / feed for cost in per_second), start=vibration))
+    return np.asarray(config.vibration_weight * squares + config.time_weight / feed + config.air_weight * air / feed)
 
 
 def metre_reward(config: TaskConfig, cost: FloatArray) -> FloatArray:
@@ -218,8 +173,12 @@ def reward_terms(
         diverged: whether the simulation diverged.
         action_change: (N, 2) change of the action; None: no term "jerk".
     """
-    terms = {"progress": np.asarray(config.progress_weight * inspected)}
-    terms |= {name: -np.asarray(cost) for name, cost in penalties(config, squares, seconds, air).items()}
+    terms = {
+        "progress": np.asarray(config.progress_weight * inspected),
+        "vibration": -np.asarray(config.vibration_weight * squares),
+        "time": -np.asarray(config.time_weight * seconds),
+        "air": -np.asarray(config.air_weight * air),
+    }
     if action_change is not None:
         terms["jerk"] = -config.jerk_weight * (action_change**2).sum(axis=1)
     return terms | {

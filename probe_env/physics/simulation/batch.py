@@ -12,13 +12,12 @@ import numpy.typing as npt
 
 from probe_env.arrays import FloatArray
 from probe_env.machine import available_cores
-from probe_env.physics.methods import method_named
 from probe_env.physics.methods.method import Method
 from probe_env.physics.model.state import check_array
 from probe_env.physics.simulation.run import CHANNELS, Samples, check_size
 from probe_env.physics.simulation.saved import FORMAT, check_format, check_names, check_types
 from probe_env.physics.simulation.signals import window_statistics
-from probe_env.physics.simulation.simulator import STEPS_PER_CALL, Options, Simulator, advance_together
+from probe_env.physics.simulation.simulator import Options, Simulator, advance_group
 from probe_env.physics.simulation.window import Window
 from probe_env.scene import Scene
 from probe_env.settings import whole_steps
@@ -39,32 +38,6 @@ def groups_of(simulators: Sequence[Simulator], running: Sequence[int]) -> list[l
             group = same[start : start + method.width]
             groups += [[k] for k in group] if len(group) * method.single_share < 1.0 else [group]
     return groups
-
-
-def advance_group(members: Sequence[Simulator], steps: int, every: int) -> tuple[list[FloatArray], float]:
-    """Advance a group of probes; a probe that diverges stops, the others continue.
-
-    Args:
-        members: the probes.
-        steps: number of steps.
-        every: steps between samples.
-
-    Returns:
-        samples (k, 2, 4) of sensor and root of each probe, zero after divergence; run time of the kernels [s].
-    """
-    none = np.zeros(0)
-    samples = [
-        Samples(every, np.array([s.sensor, -1], dtype=np.int64), np.zeros((steps // every, 2, CHANNELS)), none)
-        for s in members
-    ]
-    seconds = 0.0
-    for done in range(0, steps, STEPS_PER_CALL):
-        running = [k for k, simulator in enumerate(members) if not simulator.diverged]
-        if not running:
-            break
-        probes, records = [members[k] for k in running], [samples[k] for k in running]
-        seconds += advance_together(probes, records, done, min(steps - done, STEPS_PER_CALL))
-    return [record.rows for record in samples], seconds
 
 
 class SimulatorBatch:
@@ -104,11 +77,11 @@ class SimulatorBatch:
             raise ValueError(f"threads = {threads!r} is outside the accepted range 1 and more")
         seeds = range(len(scenes)) if seeds is None else seeds
         self.threads: Final = threads or available_cores()
-        self.method: Final = method_named(method)
         self.simulators = [
-            Simulator(scene, self.method, time_step, nodes_per_pitch, seed=seed, **options)
+            Simulator(scene, method, time_step, nodes_per_pitch, seed=seed, **options)
             for scene, seed in zip(scenes, seeds, strict=True)
         ]
+        self.method: Final = self.simulators[0].method
         self.time_step, self.nodes_per_pitch = time_step, nodes_per_pitch
         self.kernel_seconds = 0.0
         # the two samples before a window, for differences at its start; initially at rest
@@ -215,51 +188,33 @@ class SimulatorBatch:
         speeds, airs = _targets(feed_speed, count), _targets(air_supply_rate, count)
         for simulator, speed, air in zip(self.simulators, speeds, airs, strict=True):
             simulator.check_targets(speed, air)
-        chosen = np.ones(count, dtype=bool) if active is None else np.asarray(active, dtype=bool)
-        if chosen.shape != (count,):
-            raise ValueError(f"active has shape {chosen.shape}; ({count},), a value for each probe, is accepted")
-        running = [k for k in range(count) if chosen[k] and not self.simulators[k].diverged]
-        for k in running:  # before any advances: the kernels check no bounds
-            self._check_fits(k)
+        running = self._running(active)
         check_size(steps // every + 2, count)
+        samples = {}
         for k in running:
             self.simulators[k].set_targets(speeds[k], airs[k])
-        signals = np.zeros((count, steps // every + 2, 3))
+            points = np.array([self.simulators[k].sensor, -1], dtype=np.int64)
+            samples[k] = Samples(every, points, np.zeros((steps // every, 2, CHANNELS)), np.zeros(0))
         groups = groups_of(self.simulators, running)
+
+        def advanced(group: Sequence[int]) -> float:
+            return advance_group([self.simulators[k] for k in group], [samples[k] for k in group], 0, steps)
+
         with ThreadPoolExecutor(self.threads) as pool:  # starts no thread before its first task
             mapped = pool.map if len(groups) > 1 else map  # starting a thread takes long on a busy processor
-            members = ([self.simulators[k] for k in group] for group in groups)
-            for group, (samples, seconds) in zip(
-                groups, mapped(lambda group: advance_group(group, steps, every), members), strict=True
-            ):
-                self.kernel_seconds += seconds
-                for k, rows in zip(group, samples, strict=True):
-                    signals[k, :2], signals[k, 2:, :2], signals[k, 2:, 2] = (
-                        self._before[k],
-                        rows[:, 0, :2],
-                        rows[:, 1, 3],
-                    )
-                    self._before[k] = signals[k, -2:].copy()
-        return self._window(signals, running, every, keep_samples)
-
-    def _check_fits(self, k: int) -> None:
-        simulator = self.simulators[k]
-        try:
-            simulator.check_fits()
-            check_array("before", self._before[k], (2, 3))
-        except ValueError as error:
-            raise ValueError(f"probe {k}: {error}") from error
-
-    def _window(self, signals: FloatArray, running: Sequence[int], every: int, keep: bool) -> Window:
-        period = every * self.time_step
+            self.kernel_seconds += sum(mapped(advanced, groups))
+        signals = np.zeros((count, steps // every + 2, 3))
+        for k, (_, _, rows, _) in samples.items():
+            signals[k, :2], signals[k, 2:, :2], signals[k, 2:, 2] = self._before[k], rows[:, 0, :2], rows[:, 1, 3]
+            self._before[k] = signals[k, -2:].copy()
         diverged = np.array([s.diverged for s in self.simulators])
-        good = np.zeros(len(self), dtype=bool)
-        good[list(running)] = True
+        good = np.zeros(count, dtype=bool)
+        good[running] = True
         good &= ~diverged
         axial, radial, tension = (signals[good, :, field].T for field in range(3))
         statistics: dict[str, FloatArray] = {}
-        for name, values in window_statistics(axial, radial, tension, period).items():
-            statistics[name] = np.zeros(len(self))
+        for name, values in window_statistics(axial, radial, tension, every * self.time_step).items():
+            statistics[name] = np.zeros(count)
             statistics[name][good] = values
         new = np.where(good[:, None, None], signals, 0.0)[:, 2:]
         return Window(
@@ -268,11 +223,25 @@ class SimulatorBatch:
             feed_speed=np.array([s.feed_speed for s in self.simulators]),
             air_supply_rate=np.array([s.air_supply_rate for s in self.simulators]),
             diverged=diverged,
-            time=period * np.arange(1, new.shape[1] + 1) if keep else None,
-            axial=new[:, :, 0].T.copy() if keep else None,
-            radial=new[:, :, 1].T.copy() if keep else None,
-            tension=new[:, :, 2].T.copy() if keep else None,
+            time=every * self.time_step * np.arange(1, new.shape[1] + 1) if keep_samples else None,
+            axial=new[:, :, 0].T.copy() if keep_samples else None,
+            radial=new[:, :, 1].T.copy() if keep_samples else None,
+            tension=new[:, :, 2].T.copy() if keep_samples else None,
         )
+
+    def _running(self, active: npt.NDArray[np.bool_] | None) -> list[int]:
+        """Indices of the active probes that have not diverged, after a check of their states."""
+        chosen = np.ones(len(self), dtype=bool) if active is None else np.asarray(active, dtype=bool)
+        if chosen.shape != (len(self),):
+            raise ValueError(f"active has shape {chosen.shape}; ({len(self)},), a value for each probe, is accepted")
+        running = [k for k in range(len(self)) if chosen[k] and not self.simulators[k].diverged]
+        for k in running:  # before any advances: the kernels check no bounds
+            try:
+                self.simulators[k].check_fits()
+                check_array("before", self._before[k], (2, 3))
+            except ValueError as error:
+                raise ValueError(f"probe {k}: {error}") from error
+        return running
 
 
 def _targets(value: FloatArray | float | None, count: int) -> list[float | None]:

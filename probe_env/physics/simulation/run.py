@@ -189,10 +189,6 @@ class Samples(NamedTuple):
     rows: FloatArray
     tension_sum: FloatArray
 
-    def due(self, done: int, steps: int) -> FloatArray:
-        """Rows to be filled in ``steps`` steps after ``done`` steps."""
-        return self.rows[done // self.every : (done + steps) // self.every]
-
 
 class Recorder:
     """Records signals of p points and snapshots of a run.

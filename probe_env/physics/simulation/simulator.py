@@ -44,29 +44,42 @@ DEFAULTS: Final[Options] = {
 }  # fmt: skip
 
 
-def advance_together(simulators: Sequence[Simulator], samples: Sequence[Samples], done: int, steps: int) -> float:
+def advance_group(simulators: Sequence[Simulator], samples: Sequence[Samples], done: int, steps: int) -> float:
     """Advance a group of probes of one method and kind; a group may have one probe.
 
-    A probe that diverges stores its error and takes no more samples.
+    A probe that diverges stores its error and stops, the others continue. Its samples after that are zero.
 
     Args:
         simulators: the probes, with equal time steps and nodes per pitch.
         samples: of each probe, with equal periods and equally many points.
         done: steps since the first sample period began.
-        steps: number of steps, normally at most ``STEPS_PER_CALL``.
+        steps: number of steps.
 
     Returns:
-        run time of the kernel [s].
+        run time of the kernels [s].
     """
-    first = simulators[0]
-    lanes = [
-        Lane(s.constants, s.state, s.root, s.inputs_of_steps(steps), r.points, r.due(done, steps), r.tension_sum)
-        for s, r in zip(simulators, samples, strict=True)
-    ]
-    every = samples[0].every
-    seconds = first.method.run(lanes, first.time_step, first.nodes_per_pitch, every - done % every, every)
-    for simulator, lane in zip(simulators, lanes, strict=True):
-        simulator.take_result(lane, steps)
+    time_step, nodes_per_pitch, every = simulators[0].time_step, simulators[0].nodes_per_pitch, samples[0].every
+    seconds = 0.0
+    for first in range(done, done + steps, STEPS_PER_CALL):
+        count = min(done + steps - first, STEPS_PER_CALL)
+        running = [(s, record) for s, record in zip(simulators, samples, strict=True) if not s.diverged]
+        if not running:
+            break
+        lanes = []
+        for s, record in running:
+            room, spare = s.chain.node_count - 1 - s.root, max(s.root - s.sensor - nodes_per_pitch, 0)
+            inputs = s.drive.inputs_of_steps(count, time_step, s.chain.element_length, room, spare)
+            rows = record.rows[first // every : (first + count) // every]  # to be filled in this call
+            lanes.append(Lane(s.constants, s.state, s.root, inputs, record.points, rows, record.tension_sum))
+        seconds += simulators[0].method.run(lanes, time_step, nodes_per_pitch, every - first % every, every)
+        for (s, _), lane in zip(running, lanes, strict=True):
+            s.steps_done += lane.failed or count
+            s.root = int(lane.root)
+            s.iterations += lane.iterations
+            s.unconverged_steps += lane.unconverged
+            # the lanes check floats and the tip only: check that all nodes are finite
+            if lane.failed or not np.isfinite(s.state.d[: s.root]).all():
+                s.set_diverged()
     return seconds
 
 
@@ -378,32 +391,21 @@ class Simulator:
                 if done == steps:
                     break
                 count = min([steps - done, STEPS_PER_CALL, *(s - done for s in stops if s > done)])
-                advance_together([self], [recording.samples], done, count)
+                advance_group([self], [recording.samples], done, count)
                 if self._error is not None:
                     raise self._error
                 done += count
                 report(self.time)
         return recording.to_run(first, self.time_step, points)
 
-    def inputs_of_steps(self, steps: int) -> FloatArray:
-        """Inputs (steps, 4) of the next steps, see model/drive.py; advances the drive to their end."""
-        room, spare = self.chain.node_count - 1 - self.root, self.root - self.sensor - self.nodes_per_pitch
-        return self.drive.inputs_of_steps(steps, self.time_step, self.chain.element_length, room, max(spare, 0))
-
-    def take_result(self, lane: Lane, steps: int) -> None:
-        """Update counters after ``steps`` steps of a kernel; store the error if the state diverged."""
-        self.steps_done += lane.failed or steps
-        self.root = int(lane.root)
-        self.iterations += lane.iterations
-        self.unconverged_steps += lane.unconverged
-        # the lanes check floats and the tip only: check that all nodes are finite
-        if lane.failed or not np.isfinite(self.state.d[: self.root]).all():
-            size = np.abs(self.state.d[: self.root]).max(axis=1)
-            worst = int(np.argmax(np.where(np.isfinite(size), size, np.inf)))
-            distance = worst * self.chain.element_length
-            self._error = SimulationError(
-                self.method.name, self.time_step, self.time, worst, distance, self.stable_time_step
-            )
+    def set_diverged(self) -> None:
+        """Store the error of a state that has diverged, with the node that is furthest out."""
+        size = np.abs(self.state.d[: self.root]).max(axis=1)
+        worst = int(np.argmax(np.where(np.isfinite(size), size, np.inf)))
+        distance = worst * self.chain.element_length
+        self._error = SimulationError(
+            self.method.name, self.time_step, self.time, worst, distance, self.stable_time_step
+        )
 
     @property
     def diverged(self) -> bool:

@@ -28,13 +28,11 @@ def run_single_and_grouped(scene, method, time_step, steps, **options):
     for company in ((), (longer, longer)):
         members = [Simulator(s, method, time_step, seed=3, perturbation=1e-6, **options) for s in (scene, *company)]
         points = np.array([0, members[0].sensor, members[0].sensor + 2, members[0].root - 1, -1], dtype=np.int64)
-        lanes = [
-            Lane(
-                s.constants, s.state, s.root, s.inputs_of_steps(steps), points, np.zeros((steps // 5, len(points), 4)),
-                np.zeros(s.chain.node_count),
-            )
-            for s in members
-        ]  # fmt: skip
+        lanes = []
+        for s in members:
+            room, samples = s.chain.node_count - 1 - s.root, np.zeros((steps // 5, len(points), 4))
+            inputs = s.drive.inputs_of_steps(steps, time_step, s.chain.element_length, room)
+            lanes.append(Lane(s.constants, s.state, s.root, inputs, points, samples, np.zeros(s.chain.node_count)))
         METHODS[method].run(lanes, time_step, 4, 5, 5)
         first = lanes[0]
         results.append((first.failed, first.root, first.samples, first.tension_sum, *first.state))
