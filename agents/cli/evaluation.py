@@ -18,13 +18,14 @@ Policies = Annotated[tuple[str, ...], tyro.conf.arg(metavar="[POLICY ...]")]
 class Evaluate:
     """Evaluate policies on the same tubes: KPIs with intervals, paired differences, a table and a report.
 
-    Given the folder of a stored evaluation, also an interrupted one, it writes the report again.
+    The folder of a stored or interrupted evaluation as the only argument writes its report again.
 
     Example: probe-env evaluate ppo pi my-schedule.csv --limit 6 --fidelity fast
     """
 
     policies: tyro.conf.Positional[Policies] = ("constant", "slow", "slow-down", "pi")
-    """Names (see `probe-env agents`; ppo@2 is training seed 2), schedules (.csv, .toml), laws (.json), .safetensors.
+    """Names (see `probe-env agents`; ppo@2: training seed 2), schedules (.csv, .toml), laws (.json), agents
+    (.safetensors).
     NAME=FILE sets the name in tables, NAME@K=FILE also the training seed.
     shielded:POLICY raises the air supply where the drive would be too low."""
     probes: Literal["scene", "random"] = "scene"
@@ -46,7 +47,7 @@ class Evaluate:
     tube: File = None
     """Your plant (tube.toml). Its tubes replace the shipped list."""
     strict: bool = False
-    """Refuse policies that were made for other tubes, instead of a warning."""
+    """Error instead of a warning for policies that were trained or searched for other tubes."""
     passes: Annotated[Literal["in", "both"] | None, hide_default()] = None
     """in: insertion; both: insertion and withdrawal. Default: as in the tube file, else in.
     Schedule files can have columns return_feed_speed_m_per_s and return_air_supply_m3_per_h for the withdrawal.
@@ -96,7 +97,7 @@ class Render:
     """
 
     output: Path = Path("output/insertion.gif")
-    """File: .gif, .mp4, or .png for the last picture."""
+    """File: .gif, .mp4, or .png for the last frame."""
     view: Literal["helix", "strip"] = "helix"
     """helix: an episode, with the probe in the helix, feed, air, vibration and reward.
     strip: the unrolled tube near the tip, 8 times slower, with floats, contacts and the sensor's motion."""
@@ -109,7 +110,7 @@ class Render:
     fidelity: str = "standard"
     """Accuracy of the simulation: study, reference, standard, fast or auto."""
     contexts: Literal["random", "train", "validation", "test"] = "random"
-    """List from which the tube is drawn; random: from the ranges of all lists."""
+    """List from which the tube is sampled; random: from the ranges of all lists."""
     every: int = 4
     """Control periods per frame of the helix: 1 s each in Insertion-v1, 0.1 s in Snapshot-v1."""
     at: Annotated[float | None, hide_default()] = None
@@ -117,11 +118,11 @@ class Render:
     length: float = 10.0
     """Length of the strip, behind the tip [m]."""
     duration: float = 0.5
-    """Simulated duration of the strip [s], at most 2; a picture every 5 ms."""
+    """Simulated duration of the strip [s], at most 2; a frame every 5 ms."""
     seed: int = 0
     """Seed of the tube and the sensor noise."""
     tube: File = None
-    """Your plant (tube.toml), from which a tube is drawn."""
+    """Your plant (tube.toml), from which a tube is sampled."""
 
     def run(self) -> None:
         """Simulate, draw, write."""

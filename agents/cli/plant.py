@@ -23,7 +23,7 @@ class ReadLog:
     file: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="LOG")]]
     """Log file, or the name of a shipped log: example-rig."""
     columns: tyro.conf.UseAppendAction[Annotated[tuple[str, ...], tyro.conf.arg(metavar="HEAD=QUANTITY[UNIT]")]] = ()
-    """Quantities of columns with unknown headings: "Vorschub [mm/s]=feed_speed", "v=feed_speed[mm/s]". Can be repeated.
+    """Quantities of columns with unrecognised headings: "Vorschub [mm/s]=feed_speed", "v=feed_speed[mm/s]". Repeatable.
     Quantities: time, date (of a clock in another column), inserted_length, feed_speed, air_supply, root_tension,
     radial_acceleration_rms, axial_acceleration_rms, rf_noise_rms."""
     output: File = None
@@ -39,13 +39,13 @@ class ReadLog:
     start_length: float = 5.0
     """Inserted length at the start, for a log without an encoder [m]."""
     every: float = 1.0
-    """Longest time between rows of the clean file [s]."""
+    """Maximum time between rows of the clean file [s]."""
     tolerance: float = 1e-3
-    """Largest error of the inserted length between rows of the clean file [m]."""
+    """Maximum error of the inserted length between rows of the clean file [m]."""
     gap: float = 5.0
-    """Longest gap that is interpolated [s]."""
+    """Maximum gap that is interpolated [s]."""
     backward: float = 0.02
-    """Largest backward motion of the encoder that counts as noise [m]."""
+    """Maximum backward motion of the encoder that is treated as noise [m]."""
 
     def run(self) -> None:
         """Read, write, print."""
@@ -76,7 +76,7 @@ class ReadLog:
 
 @dataclass(frozen=True)
 class Calibrate:
-    """Estimate friction, contact stiffness, drag and damping from logs, with intervals and a check of the fit.
+    """Estimate friction, contact stiffness, drag and damping from logs, with intervals and a goodness-of-fit test.
 
     Example: probe-env calibrate rig.csv --tube mine.toml --output output/calibration
     """
@@ -85,7 +85,7 @@ class Calibrate:
     """Logs of insertions (see `probe-env log`), or the name of a shipped log: example-rig.
     Each needs root tension, radial or axial acceleration, or eddy-current noise."""
     tube: File = None
-    """Your plant (tube.toml), with prior knowledge; default: the study's plant, without."""
+    """Your plant (tube.toml), which gives the prior; default: the study's plant."""
     output: Path = Path("output/calibration")
     """Folder of calibration.json, corner.png and bands.png."""
     helix_diameters: Annotated[tuple[float, ...], hide_default("FLOAT ...")] = ()
@@ -93,7 +93,7 @@ class Calibrate:
     tubes: Annotated[tuple[str, ...], hide_default("NAME ...")] = ()
     """Name of the tube of each log; logs of one tube share a friction. Default: one tube for each helix diameter."""
     columns: tyro.conf.UseAppendAction[Annotated[tuple[str, ...], tyro.conf.arg(metavar="HEAD=QUANTITY[UNIT]")]] = ()
-    """Quantities of columns with unknown headings, see `probe-env log --help`."""
+    """Quantities of columns with unrecognised headings, see `probe-env log --help`."""
 
     def run(self) -> None:
         """Read, sample, store, print."""

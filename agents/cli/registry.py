@@ -7,7 +7,7 @@ from typing import Final
 COMMANDS: Final = {
     "simulate": ("simulate:Simulate", "one scene by any method: statistics, signals, figures"),
     "evaluate": ("evaluation:Evaluate", "policies and schedules on the same tubes, with a report"),
-    "render": ("evaluation:Render", "film of an insertion, or slow motion near the tip"),
+    "render": ("evaluation:Render", "animation of an insertion, or slow motion near the tip"),
     "signal": ("evaluation:Signal", "sensor signals of a run: X, Y, flaws, calls"),
     "agents": ("evaluation:Agents", "list trained agents and other policies"),
     "train": ("training:Train", "train agents from a training file, with checkpoints"),
@@ -18,8 +18,8 @@ COMMANDS: Final = {
     "calibrate": ("plant:Calibrate", "estimate friction and other unknowns from logs"),
     "recommend": ("plant:Recommend", "schedule with the best expected reward for your plant"),
     "plc": ("plant:Plc", "feedback law for a PLC: structured text or table"),
-    "app": ("plant:App", "drag, run, watch and compare schedules in the browser"),
-    "study": ("studies:Study", "run a study by name or file; make shipped data again"),
+    "app": ("plant:App", "edit, run and compare schedules in the browser"),
+    "study": ("studies:Study", "run a study by name or from a file"),
 }
 """Name -> module of ``agents.cli`` with dataclass, and the line on the first page."""
 GROUPS: Final = {

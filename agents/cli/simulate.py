@@ -27,11 +27,11 @@ class Simulate:
     """Scene file (TOML), or the name of a shipped scene: fig11_l10, ...; the --scene options change single fields."""
     scene: Scene = field(default_factory=Scene)
     method: Annotated[str, tyro.conf.arg(metavar=f"{{{','.join(METHODS)}}}")] = "newmark"
-    """newmark and wilson: the study's methods; imex: the fast scheme; implicit: stable with any step.
-    superelement: a converged mesh condensed to the floats; imex32 and superelement32: in single precision.
+    """newmark and wilson: the study's methods; imex: fast implicit-explicit method; implicit: stable at any time step.
+    superelement: converged mesh condensed to the floats; imex32 and superelement32: the same in single precision.
     explicit: central differences."""
     time_step: Annotated[float | None, hide_default()] = None
-    """Time step [s]; default: the usual one of the method."""
+    """Time step [s]; default: that of the method."""
     nodes_per_pitch: int = 4
     """Nodes per float pitch."""
     solver: Annotated[str, tyro.conf.arg(metavar=f"{{{','.join(SOLVERS)}}}")] = "ticm"

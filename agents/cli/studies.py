@@ -14,7 +14,7 @@ from agents.evaluation.workers import Workers
 
 @dataclass(frozen=True)
 class Study:
-    """Run a study: policies in varied tasks, compared tube by tube. Some studies make the shipped data.
+    """Run a study: policies in varied tasks, compared tube by tube. Some studies generate the shipped data.
 
     A study is a TOML file with policies, tubes, varied fields and compared metrics. It writes episodes.csv,
     comparison.csv and comparison.png.
@@ -29,7 +29,7 @@ class Study:
     limit: Annotated[int | None, hide_default()] = None
     """Number of tubes, 0: all; response: groups of insertions; claims: a few cases. Default: as in the study."""
     policies: Annotated[tuple[str, ...], hide_default("NAME ...")] = ()
-    """Policies instead of the study's, as in `evaluate`; the reference policies stay."""
+    """Policies instead of the study's, as in `evaluate`; the reference policies are always included."""
     fidelity: Annotated[tuple[str, ...], hide_default("NAME ...")] = ()
     """Fidelities instead of the study's."""
     tube: File = None

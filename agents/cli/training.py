@@ -14,7 +14,7 @@ from agents.evaluation.workers import Workers
 
 @dataclass(frozen=True)
 class Train:
-    """Train agents with Stable-Baselines3; the agent that is best in validation is stored for each seed.
+    """Train agents with Stable-Baselines3; for each seed the best agent in validation is stored.
 
     Example: probe-env train ppo --seeds 7 --output output/train/mine
     """
@@ -59,9 +59,9 @@ class Tune:
     """Training file (TOML), or the name of a shipped one. Its first seed is trained.
     Its table [search] is the search space; default: ranges of its algorithm."""
     trials: int = 40
-    """Number of trainings, including those that are stopped early."""
+    """Number of trials, including pruned ones."""
     phases: Annotated[int | None, hide_default()] = None
-    """Phases of a training after its warm start; default: half of the file's."""
+    """Phases per trial after the warm start; default: half of the file's."""
     output: File = None
     """Folder of the search; an interrupted search continues. Default: output/tune/NAME."""
     seed: int = 0

@@ -206,35 +206,24 @@ def failure_text(counts: Mapping[str, int] | pd.Series) -> list[str]:
 
 
 def comparison_lines(table: pd.DataFrame, reference: str) -> list[str]:
-    """A line for every other policy: differences in time and length within the limit to the reference."""
+    """A line for every other policy: paired differences in time and length within the limit to the reference."""
     lines, has_lead = [], {BEST, BAR} <= set(table["policy"])
     for policy in dict.fromkeys(table["policy"]):
         if policy == reference:
             continue
-        time = paired_difference(table, policy, reference, "inspection_time_s")
-        share = paired_difference(table, policy, reference, "share_within_limit")
-        longer = "as long as" if time.low == time.high == 0.0 else f"{_difference_text(time, 1.0, ' s')} than"
-        of_lead = (
-            f" It has {share_of_lead(table, policy).text(100.0)} % of the lead of {BEST} over {BAR}."
-            if has_lead and policy not in (BEST, BAR)
-            else ""
-        )
-        lines.append(
-            f"{policy} takes {longer} {reference} and keeps"
-            f" {_difference_text(share, 100.0, ' % of the length')} within the limit.{of_lead}"
-        )
+        time = _signed(paired_difference(table, policy, reference, "inspection_time_s"), 1.0, "s")
+        share = _signed(paired_difference(table, policy, reference, "share_within_limit"), 100.0, "%")
+        lead = ""
+        if has_lead and policy not in (BEST, BAR):
+            lead = f", share of the lead of {BEST} over {BAR} {share_of_lead(table, policy).text(100.0)} %"
+        lines.append(f"{policy} against {reference}: time {time}, length within the limit {share}{lead}")
     return lines
 
 
-def _difference_text(difference: Interval, factor: float, unit: str) -> str:
-    """A difference such as "41 s less [38, 44]", or that it may be zero."""
-    low, high = difference.low * factor, difference.high * factor
-    if low <= 0.0 <= high and low < high:
-        return f"no clearly different amount (by {short(difference.mean * factor)}{unit} [{short(low)}, {short(high)}])"
-    near, far = sorted((abs(low), abs(high)))
-    word = "less" if difference.mean < 0.0 else "more"
-    ends = f" [{short(near)}, {short(far)}]" if near < far else ""
-    return f"{short(abs(difference.mean * factor))}{unit} {word}{ends}"
+def _signed(difference: Interval, factor: float, unit: str) -> str:
+    """A difference such as "-41 s [-44, -38]"; without an interval where there is none."""
+    mean, low, high = (f"{value * factor:+.3g}" for value in (difference.mean, difference.low, difference.high))
+    return f"{mean} {unit}" + (f" [{low}, {high}]" if difference.low < difference.high else "")
 
 
 def strain_lines(table: pd.DataFrame) -> list[str]:

@@ -170,6 +170,9 @@ class InsertionEnv(ProbeEnv):
     | 0 | target feed speed; the feed ramps at 0.5 m/s2 | 0.02 | 0.4 | m/s |
     | 1 | target air supply; follows with a lag of 1 s | 30 | 130 | m3/h |
 
+    Ramp and lag are those of the simulated motion: at `fast`, which simulates a quarter of each second, they take four
+    times as long in the time of the task.
+
     ## Observation Space
     `Box` of float32; names, bounds and meaning are in `probe_env.envs.task.scales.OBSERVATIONS`:
 
@@ -190,8 +193,8 @@ class InsertionEnv(ProbeEnv):
     ## Rewards
     The sum of `info["reward_terms"]`: progress (1 per metre), vibration (-(rms / 0.1 mm)^2 per metre, the ratio up
     to 3), time (-0.1 per second), air (-0.2 per m3), jerk (-0.005 times the squared change of the action),
-    uninspected (per metre that is not inspected when the episode ends, the largest cost of inspecting a metre),
-    diverged (-10). Weights are fields of `probe_env.envs.task.TaskConfig`.
+    uninspected (per metre that is not inspected when the episode ends, the largest cost of inspecting a metre plus
+    its progress), diverged (-10). Weights are fields of `probe_env.envs.task.TaskConfig`.
 
     `info["cost"]` is separate from the reward. It is the sum of `info["cost_terms"]`, each 0 or 1 per period:
     lost_drive (tension too low to drive, see Episode End), tension (above `tension_limit`, default 110 N), buckling

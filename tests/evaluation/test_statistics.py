@@ -97,11 +97,11 @@ def test_pairing_sees_what_the_scatter_between_contexts_hides():
         paired_difference(table[~((table["policy"] == "A") & (table["context"] == 3))], "A", "B", "reward")
 
 
-def test_sentences_give_difference_and_interval():
+def test_lines_give_difference_and_interval():
     for table, words in (
-        (synthetic(41.0), r"A takes 41(\.\d)? s less \["),
-        (synthetic(41.0, contexts=1), r"A takes 4\d(\.\d)? s less than B"),  # one tube has no interval
-        (synthetic(0.0), r".*no clearly different amount"),
+        (synthetic(41.0), r"A against B: time -41(\.\d)? s \[-4\d(\.\d)?, -4\d(\.\d)?\], length within"),
+        (synthetic(41.0, contexts=1), r"A against B: time -4\d(\.\d)? s, length"),  # one tube has no interval
+        (synthetic(0.0), r"A against B: time [+-]\d.* s \[-.*, \+.*\], length"),
     ):
         (line,) = comparison_lines(table, "B")
         assert re.match(words, line), line
@@ -115,7 +115,7 @@ def test_the_share_of_the_planners_lead():
     ]  # fmt: skip
     table = pd.DataFrame(rows)
     assert share_of_lead(table, "mine").mean == pytest.approx(4.5 / 9.0)
-    assert any("It has 50 [" in line for line in comparison_lines(table, "best-schedule"))
+    assert any("over best-schedule 50 [" in line for line in comparison_lines(table, "best-schedule"))
     with pytest.raises(ValueError, match="same contexts"):
         share_of_lead(table[(table["policy"] != "mine") | (table["context"] > 0)], "mine")
 

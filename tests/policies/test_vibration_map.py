@@ -107,7 +107,7 @@ def test_the_stored_map_survives_its_file_and_tells_held_out_episodes(tmp_path):
     assert (
         Privileged(CONFIG, vibration=constant_map(0.0, 0.1)).describe()
         != Privileged(CONFIG).describe()
-        == Privileged(CONFIG, vibration=loaded).describe()
+        == Privileged(CONFIG, vibration=VibrationMap.load(STORED)).describe()
     )
 
 

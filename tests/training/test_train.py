@@ -209,7 +209,7 @@ def test_an_agent_of_random_probes_is_validated_on_random_probes(tmp_path, valid
     assert [plan.probes for plan in validations] == ["random"]
     agent = load_bundle(tmp_path / "seed-0" / BEST)
     assert set(RANGES) < set(agent.description.view.observations)
-    with pytest.raises(ValueError, match=r"guide_length.* not shown by this task"):
+    with pytest.raises(ValueError, match=r"guide_length.* are not observed in this task"):
         load_bundle(tmp_path / "seed-0" / BEST, TaskConfig())
 
 
@@ -315,7 +315,9 @@ def test_an_agent_of_both_passes_is_asked_on_both(tmp_path, validations, monkeyp
     assert bool(table["complete"].all())
     with pytest.raises(FileError, match=r'observations = way are not .*; "way" needs passes ='):
         make_policy(path, TaskConfig().full_observation)
-    with pytest.raises(ValueError, match=r"policy = 'shielded:.*agent.safetensors': the shield is for the way in"):
+    with pytest.raises(
+        ValueError, match=r"policy = 'shielded:.*agent.safetensors': the shield acts on the insertion only"
+    ):
         make_policy(f"shielded:{path}", config)
 
 
