@@ -9,9 +9,16 @@ import gymnasium as gym
 import numpy as np
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvObs, VecEnvStepReturn
 
-from probe_env.envs.env import InsertionEnv, InspectionEnv, ProbeEnv, SnapshotEnv, check_episode_steps, spaces_of
+from probe_env.envs.env import (
+    InsertionEnv,
+    InspectionEnv,
+    ProbeEnv,
+    SnapshotEnv,
+    check_episode_steps,
+    make_episodes,
+    spaces_of,
+)
 from probe_env.envs.episodes.starts import DEFAULTS, EpisodeSettings, resolve_settings
-from probe_env.envs.surrogate import make_episodes
 from probe_env.envs.task import TaskConfig
 from probe_env.settings import check_keywords
 

@@ -11,7 +11,7 @@ from agents.app.forms import TubeForm
 from agents.app.run_store import new_folder
 from agents.app.runs import MANUAL, Command, Run, RunQueue, RunRequest
 from agents.app.schedules import Points, csv_text, points_of, schedule_of
-from agents.policies.cases import EvaluationCase, case_of, map_of
+from agents.policies.cases import EvaluationCase, load_case, map_of
 from agents.records.atomic import write_atomically
 from agents.records.shipped import policy_file
 from agents.terminal.names import checked_name, name_of
@@ -42,9 +42,9 @@ class Session:
     def case(self, limit: int = 6) -> EvaluationCase:
         """Evaluation case of the present tube."""
         if self.tube.is_study:
-            return case_of(None, "test", limit)
+            return load_case(None, "test", limit)
         vibration = stored_map() if self.tube.changed else map_of(self.tube.path, self.tube.plant)
-        return case_of(self.tube.plant, "test", limit, vibration)
+        return load_case(self.tube.plant, "test", limit, vibration=vibration)
 
     def open_schedule(self, path: Path) -> None:
         """Read the points of a schedule file."""

@@ -31,7 +31,7 @@ from agents.app.runs import (
     RunStarted,
 )
 from agents.evaluation.plan import BATCH, Plan, RolloutRunner, Unit, run_plan, stored_episodes
-from agents.evaluation.run import claim_folder, write_report
+from agents.evaluation.run import report_settings, write_report
 from agents.policies.catalogue import user_policies
 from agents.records.manifest import write_json
 from agents.terminal.errors import format_error
@@ -118,14 +118,14 @@ class _RequestRunner:
                 plan = self.request.plan()
             request, names, output = self.request, list(plan.policies), self.request.output
             users = [MANUAL] * request.manual + user_policies(request.policies)
-            claim_folder(plan, output, names[1] if request.manual and len(names) > 1 else None, users)
-            write_json(output / REQUEST, request.model_dump(mode="json"))  # to resume the run
+            report = report_settings(plan, names[1] if request.manual and len(names) > 1 else None, users)
             stored = stored_episodes(plan, output)
+            write_json(output / REQUEST, request.model_dump(mode="json"))  # to resume the run
             self.done = sum(key in stored for key, *_ in plan.planned())
             limit = plan.config.limit if plan.config.vibration_measure == "displacement" else None
             notes = tuple(str(warning.message) for warning in caught)
             self.pipe.send(RunStarted(len(plan.units()), notes, limit, plan.config.sensor))
-            run_plan(plan, output, progress=False, source=self._source, command=self.request.command)
+            run_plan(plan, output, progress=False, source=self._source, command=request.command, report=report)
             write_report(output)
             self.pipe.send(RunEnded("finished"))
         except StoppedError:

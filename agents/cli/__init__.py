@@ -28,7 +28,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(arguments: Sequence[str]) -> int:
+    import logging
+    import warnings
     from difflib import get_close_matches
+    from importlib import import_module
 
     from agents.cli.registry import COMMANDS, first_page
 
@@ -48,9 +51,22 @@ def _run(arguments: Sequence[str]) -> int:
     from agents.cli.extras import extra_with
     from agents.terminal.errors import format_error
     from probe_env import SimulationError
+    from probe_env.files import one_line
 
+    warnings.formatwarning = lambda message, *_, **__: f"probe-env: warning: {one_line(str(message))}\n"
+    logger = logging.getLogger("probe_env")  # the choice of "auto", and the remaining work
+    logger.handlers = [logging.StreamHandler(sys.stderr)]
+    logger.setLevel(logging.INFO)
     try:
-        _run_command(name, arguments[1:])
+        from agents.cli.parsing import parse, positional
+        from agents.terminal.notices import announce_compilation
+
+        module, _, kind = COMMANDS[name][0].partition(":")
+        command_class: Any = getattr(import_module(f"agents.cli.{module}"), kind)
+        default = command_class.of_scene(positional(arguments[1:])) if hasattr(command_class, "of_scene") else None
+        command = parse(name, command_class, arguments[1:], default)
+        with announce_compilation():
+            command.run()
     except ImportError as error:
         # the message of Stable-Baselines3 begins with the name of the module
         module = (error.name or str(error)).replace(".", " ").partition(" ")[0]
@@ -63,28 +79,6 @@ def _run(arguments: Sequence[str]) -> int:
     except (ValueError, OSError, SimulationError, RuntimeError) as error:
         return _fail(format_error(error))
     return 0
-
-
-def _run_command(name: str, arguments: Sequence[str]) -> None:
-    import logging
-    import warnings
-    from importlib import import_module
-
-    from agents.cli.parsing import parse, positional
-    from agents.cli.registry import COMMANDS
-    from agents.terminal.notices import announce_compilation
-    from probe_env.files import one_line
-
-    warnings.formatwarning = lambda message, *_, **__: f"probe-env: warning: {one_line(str(message))}\n"
-    logger = logging.getLogger("probe_env")  # the choice of "auto", and the remaining work
-    logger.handlers = [logging.StreamHandler(sys.stderr)]
-    logger.setLevel(logging.INFO)
-    module, _, kind = COMMANDS[name][0].partition(":")
-    command_class: Any = getattr(import_module(f"agents.cli.{module}"), kind)
-    default = command_class.of_scene(positional(arguments)) if hasattr(command_class, "of_scene") else None
-    command = parse(name, command_class, arguments, default)
-    with announce_compilation():
-        command.run()
 
 
 def _fail(message: str) -> int:

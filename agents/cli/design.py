@@ -62,7 +62,7 @@ class Compare:
             raise ValueError(f"designs = {', '.join(map(str, self.designs))}: two have the same name")
         config = case.config.full_observation
         fidelity = resolve_fidelity(self.fidelity, config.scene)
-        trials = DesignTrials(case.contexts, self.feed, self.full, fidelity, config, case.vibration, case.tube)
+        trials = DesignTrials(case.contexts, self.feed, self.full, fidelity, config, case.vibration, case.plant_label)
         print_comparison(compare(designs, trials, self.output))
         print(f"written: {self.output}/ (designs.csv, summary.csv)")
 

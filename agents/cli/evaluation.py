@@ -173,19 +173,19 @@ class Signal:
     def run(self) -> None:
         """Simulate, draw, write, print."""
         from agents.evaluation.signal import draw_curves, run_signal
-        from agents.policies.cases import load_case, plant_at
+        from agents.policies.cases import load_case
 
-        plant = plant_at(self.tube)
+        case = load_case(self.tube, self.contexts)
         if self.evaluation:
             draw_curves(self.evaluation, self.output)
         run_signal(
             self.policy,
-            load_case(self.tube, self.contexts),
+            case,
             self.fidelity,
             self.output,
             context=self.context,
             flaws=self.flaws,
-            support_spacing=plant.tube.support_spacing if plant else None,
+            support_spacing=case.plant.tube.support_spacing if case.plant else None,
             until=self.until,
             seed=self.seed,
         )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import tyro
 
@@ -39,11 +39,10 @@ class Train:
         from agents.training.train import print_curves, train_all
 
         training = Training.from_toml(file_or_shipped("train", self.config_file))
-        if self.seeds:
-            training = training.model_copy(update={"seeds": self.seeds})
+        update: dict[str, Any] = {"seeds": self.seeds} if self.seeds else {}
         if self.tube:
-            environment = {"tube": plant_at(self.tube), "map_beside": str(self.tube)}
-            training = training.model_copy(update={"environment": environment})
+            update["environment"] = {"tube": plant_at(self.tube), "map_beside": str(self.tube)}
+        training = training.model_copy(update=update) if update else training
         output = self.output or Path("output/train") / self.config_file.stem
         print_curves(train_all(training, output, self.resume, self.workers))
         print(f"written: {output}/seed-*/ (agent.safetensors: the best by validation, learning.csv, run.json, logs)")

@@ -62,7 +62,7 @@ def compare(designs: Mapping[str, Design], trials: DesignTrials, output: Path) -
     check_measure(trials.config)
     segment_of(trials.config)
     feed = None if trials.full else trials.schedule()
-    if trials.tube != TABLE_2:  # table 2 accepts the whole design space
+    if trials.plant_label != TABLE_2:  # table 2 accepts the whole design space
         name = name_and_spec(trials.feed)[0]
         check_domains(domains_of([trials.feed], {name: trials.policy()}), trials.config, trials.contexts, strict=False)
         for name, design in designs.items():
@@ -71,9 +71,9 @@ def compare(designs: Mapping[str, Design], trials: DesignTrials, output: Path) -
                     check_candidate(design, context, trials.config, trials.fidelity, feed)
                 except ValueError as error:
                     reason = explain(error) if isinstance(error, ValidationError) else error
-                    raise ValueError(f"design {name!r} in {trials.tube.name}: {reason}") from error
+                    raise ValueError(f"design {name!r} in {trials.plant_label.name}: {reason}") from error
     journal = Journal(output / "designs.jsonl", Trial)
-    claim(output, trials.tube)
+    claim(output, trials.plant_label)
     units = [(name, k) for name in designs for k in range(len(trials.contexts))]
     keys = {u: trials.key(designs[u[0]], trials.contexts[u[1]], u[1]) for u in units}
     planned, done = set(keys.values()), journal.read()
@@ -89,7 +89,7 @@ def compare(designs: Mapping[str, Design], trials: DesignTrials, output: Path) -
                 append("".join(f"{json.dumps(line)}\n" for line in lines))
                 bar.update(len(part))
         done = journal.read()
-    column = tube_column(trials.tube)
+    column = tube_column(trials.plant_label)
     table = pd.DataFrame(
         {"design": name, "context": k} | column | trials.contexts[k].model_dump() | done[keys[name, k]]["kpis"]
         | {"commit": done[keys[name, k]].get("commit", "unknown")}

@@ -51,7 +51,7 @@ class DesignProblem(DesignTrials):
         """Messages about parts of the design space that do not fit the plant and are not searched."""
         return tuple(
             f"{name} is searched from {low:g} to {high:g} {unit}, not from {RANGES[name][0]:g} to {RANGES[name][1]:g}"
-            f" {unit}: the rest does not fit the bore and the cable of {self.tube.name}"
+            f" {unit}: the rest does not fit the bore and the cable of {self.plant_label.name}"
             for name, (low, high, unit) in ranges_in(self.config.scene).items()
             if (low, high, unit) != RANGES[name]
         )
@@ -130,7 +130,7 @@ class DesignProblem(DesignTrials):
 
     def can_be_tried(self, point: dict[str, float], context: Context) -> bool:
         """Whether a probe can be simulated in a tube; always true in table 2."""
-        if self.tube == TABLE_2:
+        if self.plant_label == TABLE_2:
             return True
         design, feed = self._probe(point)
         schedule = feed or (None if self.full else self.schedule())
@@ -156,12 +156,12 @@ def design_problem(feed: str, full: bool, case: EvaluationCase, fidelity: str) -
         raise ValueError("feed = 'best-constant' needs sections; with --full give a schedule or an agent")
     config = case.config.full_observation
     chosen = resolve_fidelity(fidelity, config.scene)
-    problem = DesignProblem(case.contexts, feed, full, chosen, config, case.vibration, case.tube)
+    problem = DesignProblem(case.contexts, feed, full, chosen, config, case.vibration, case.plant_label)
     check_measure(config)
     segment_of(config)
     if feed != "best-constant" and not full:
         problem.schedule()
     if not any(problem.can_be_tried(start, context) for start in problem.starts() for context in problem.contexts):
         probes = ", ".join(problem.probes)
-        raise ValueError(f"tube = {problem.tube.name}: {probes} can be simulated in none of its tubes")
+        raise ValueError(f"tube = {problem.plant_label.name}: {probes} can be simulated in none of its tubes")
     return problem

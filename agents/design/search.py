@@ -151,17 +151,17 @@ def run_design_search(
     within("seed", seed, 0, 2**63, "")
     within("trials", trials, 2, 1_000_000, "")
     name = f"{problem.feed} {problem.identity()} seed {seed}"
-    claim(output, problem.tube)
+    claim(output, problem.plant_label)
     value = partial(problem.value, workers=workers)
     table = trials_table(search(problem.axes, value, trials, output, name, seed=seed, starts=problem.starts()))
     front = table[table["on_front"]].sort_values("mean_square_ratio")
-    influence, column = sensitivity(table, problem.axes), tube_column(problem.tube)
+    influence, column = sensitivity(table, problem.axes), tube_column(problem.plant_label)
     for name, frame in (("trials", table), ("front", front), ("sensitivity", influence)):
         write_atomically(output / f"{name}.csv", frame.assign(**column).to_csv(index=False, float_format="%.6g"))
     write_atomically(output / "found.toml", best_of(front, problem.config).to_toml())
     names = [name for name in problem.probes for _ in problem.reference_feeds()]  # the first trials
     references = table.iloc[: len(names)].assign(design=names[: len(table)])
-    _draw_front(table, references, output / "front.png", problem.tube.title)
+    _draw_front(table, references, output / "front.png", problem.plant_label.title)
     setting: dict[str, Any] = {"contexts": len(problem.contexts), "trials": len(table), "seed": seed} | column
     files = ("trials.csv", "front.csv", "sensitivity.csv", "found.toml")
     write_manifest(output, files, seeds=(seed,), commits=table[COMMIT], **problem.setting, **setting)
@@ -185,7 +185,7 @@ def best_of(front: pd.DataFrame, config: TaskConfig) -> Design:
 
 
 def _print(front: pd.DataFrame, influence: pd.DataFrame, problem: DesignProblem) -> None:
-    axes, where = problem.axes, f" in {problem.tube.title}" if problem.tube.title else ""
+    axes, where = problem.axes, f" in {problem.plant_label.title}" if problem.plant_label.title else ""
     names = (*axes, *OBJECTIVES)
     rows = ([str(row["trial"]), *(f"{row[name]:.3g}" for name in names)] for row in front.to_dict("records"))
     units = {name: unit for name, (_, _, unit) in axes.items()} | {"inspection_time_s": "s", "drive_margin_n": "N"}

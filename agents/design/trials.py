@@ -12,7 +12,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from agents.policies.cases import TABLE_2, Named
+from agents.policies.cases import TABLE_2, PlantLabel
 from agents.policies.catalogue import make_policy
 from agents.policies.fixed import Scheduled
 from agents.policies.policy import Policy
@@ -46,7 +46,7 @@ class DesignTrials:
         fidelity: simulation settings, resolved for the scene.
         config: task; designs and contexts replace parts of its scene.
         vibration: vibration map of policies; default: the shipped one.
-        tube: name of the plant.
+        plant_label: name of the plant.
     """
 
     contexts: Sequence[Context]
@@ -55,7 +55,7 @@ class DesignTrials:
     fidelity: Fidelity = field(default_factory=Fidelity)
     config: TaskConfig = field(default_factory=lambda: TaskConfig().full_observation)
     vibration: VibrationMap | None = None
-    tube: Named = TABLE_2
+    plant_label: PlantLabel = TABLE_2
 
     def policy(self) -> Policy:
         """Make the policy of ``feed``.
@@ -118,7 +118,7 @@ class DesignTrials:
         ]
 
 
-def claim(output: Path, tube: Named) -> None:
+def claim(output: Path, label: PlantLabel) -> None:
     """Store the plant of the trials in a folder; a folder of trials without ``tube.json`` is of table 2.
 
     Raises:
@@ -127,14 +127,14 @@ def claim(output: Path, tube: Named) -> None:
     path = output / TUBE_FILE
     before = read_json(path, Tube) if path.exists() else Tube(name=TABLE_2.name, digest=TABLE_2.digest)
     in_use = path.exists() or any((output / name).exists() for name in ("designs.jsonl", JOURNAL, "trials.csv"))
-    if in_use and before.digest != tube.digest:
-        other = "" if before.name != tube.name else " before its file changed"
-        problem = f"holds trials in the tubes of {before.name}{other}, not of {tube.name}: choose another folder"
+    if in_use and before.digest != label.digest:
+        other = "" if before.name != label.name else " before its file changed"
+        problem = f"holds trials in the tubes of {before.name}{other}, not of {label.name}: choose another folder"
         raise ValueError(f"output = {str(output)!r} {problem}")
-    if tube != TABLE_2:
-        write_json(path, {"name": tube.name, "digest": tube.digest})
+    if label != TABLE_2:
+        write_json(path, {"name": label.name, "digest": label.digest})
 
 
-def tube_column(tube: Named) -> dict[str, str]:
+def tube_column(label: PlantLabel) -> dict[str, str]:
     """Column of a table that names its plant; none for the tubes of table 2."""
-    return {"tube": tube.title} if tube.title else {}
+    return {"tube": label.title} if label.title else {}

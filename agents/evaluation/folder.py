@@ -7,7 +7,6 @@
 from __future__ import annotations
 
 import errno
-import io
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -21,7 +20,6 @@ from pydantic_core import PydanticCustomError
 
 from agents.evaluation.kpis import CORE, CORE_FAILURES, COST_KPIS, KPIS, PROFILE_COLUMNS, PROFILE_COLUMNS_NEWER
 from agents.evaluation.statistics import grouped
-from agents.records.atomic import write_atomically
 from agents.records.models import Journal, Key, Record, Stored, read_json, require
 from agents.records.tables import Columns, Kind, check_table, read_csv, read_parquet
 from agents.terminal.names import name_problem
@@ -33,7 +31,6 @@ from probe_env.files import FileError
 from probe_env.inspection.metrics import POD_NAMES
 
 UNFINISHED: Final = "unfinished.json"
-TABLES: Final = ("episodes", "profile")
 FILES: Final = ("episodes.csv", "episodes.parquet", "profile.parquet")
 CASE: Final[dict[str, Kind]] = {"policy": "name", "context": "count", "seed": "count"}
 EPISODES: Final[Columns] = {
@@ -145,15 +142,6 @@ def collect_tables(
         rows.append(case | contexts[k].model_dump() | record.get("probe", {}) | record["kpis"] | origin)
         profiles.append(pd.DataFrame(record["profile"]).astype(np.float32).assign(**case))
     return pd.DataFrame(rows), pd.concat(profiles, ignore_index=True)
-
-
-def write_tables(table: pd.DataFrame, profile: pd.DataFrame, output: Path) -> None:
-    """Write ``episodes.csv``, ``episodes.parquet`` and ``profile.parquet``."""
-    write_atomically(output / "episodes.csv", table.to_csv(index=False, float_format="%.8g"))
-    for name, frame in zip(TABLES, (table, profile), strict=True):
-        buffer = io.BytesIO()
-        frame.to_parquet(buffer, index=False)
-        write_atomically(output / f"{name}.parquet", buffer.getvalue())
 
 
 class Missing(NamedTuple):

@@ -6,6 +6,7 @@ An episode depends only on its policy, context and seed, so an interrupted evalu
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -19,20 +20,28 @@ import numpy.typing as npt
 import pandas as pd
 from tqdm import tqdm
 
-from agents.evaluation.folder import FILES, UNFINISHED, Setting, collect_tables, episodes_of, write_tables
+from agents.evaluation.folder import (
+    FILES,
+    UNFINISHED,
+    ReportSettings,
+    Setting,
+    collect_tables,
+    episodes_of,
+)
 from agents.evaluation.folder import Unit as Unit
 from agents.evaluation.kpis import PROFILE_COLUMNS, PROFILE_COLUMNS_NEWER
 from agents.evaluation.workers import HERE, Workers
 from agents.policies.policy import Policy as Policy
+from agents.records.atomic import write_atomically
 from agents.records.manifest import commit, origin, write_json, write_manifest
 from agents.records.models import read_json
 from agents.terminal.work import Work, announce
 from probe_env import Context, Fidelity
 from probe_env.arrays import BoolArray
 from probe_env.design import RANGES
+from probe_env.envs.env import make_episodes
 from probe_env.envs.episodes import Step
 from probe_env.envs.episodes.starts import Probes
-from probe_env.envs.surrogate import make_episodes
 from probe_env.envs.task import VISIBLE_FIELDS, TaskConfig, describe
 from probe_env.envs.trials import PolicyBatch
 from probe_env.envs.vibration_map import VibrationMap
@@ -106,6 +115,7 @@ def run_plan(
     workers: Workers = HERE,
     source: Source | None = None,
     command: str | None = None,
+    report: ReportSettings | None = None,
 ) -> pd.DataFrame:
     """Run the episodes that a folder lacks; returns the table of all episodes of the plan.
 
@@ -121,6 +131,7 @@ def run_plan(
         workers: workers that run the episodes; default: this process.
         source: runs the episodes instead of ``workers``.
         command: command line to store; default: the one of this process.
+        report: settings of the report to store.
 
     Raises:
         ValueError: the folder holds episodes of other settings, version or commit; nothing is changed.
@@ -130,6 +141,8 @@ def run_plan(
         done = {record["key"]: record for record in map(json.loads, lines)}
         return collect_tables(plan.planned(), plan.contexts, done)[0]
     journal, done = episodes_of(output), stored_episodes(plan, output)
+    if report is not None:
+        write_json(output / "report.json", report.model_dump(mode="json"))
     units = {plan.key(unit): unit for unit in plan.units()}
     missing = deque(unit for key, unit in units.items() if key not in done)
     announce(Work("episode", len(units), lambda: len(units.keys() & journal.read().keys()), output), quiet=not progress)
@@ -145,7 +158,11 @@ def run_plan(
                 bar.update()
         done = journal.read()
     table, profile = collect_tables(plan.planned(), plan.contexts, done)
-    write_tables(table, profile, output)
+    write_atomically(output / "episodes.csv", table.to_csv(index=False, float_format="%.8g"))
+    for name, frame in (("episodes", table), ("profile", profile)):
+        buffer = io.BytesIO()
+        frame.to_parquet(buffer, index=False)
+        write_atomically(output / f"{name}.parquet", buffer.getvalue())
     files, policies = (*FILES, "setting.json"), plan.described()["policies"]
     write_manifest(output, files, seeds=plan.seeds, command=command, commits=table["commit"], policies=policies)
     (output / UNFINISHED).unlink(missing_ok=True)

@@ -10,9 +10,9 @@ from typing import Literal
 import pandas as pd
 from pydantic import ValidationError
 
-from agents.evaluation.folder import is_evaluation, read_evaluation
+from agents.evaluation.folder import ReportSettings, is_evaluation, read_evaluation
 from agents.evaluation.kpis import SCORED_PASSES, displayed_kpis
-from agents.evaluation.plan import Plan, run_plan, stored_episodes
+from agents.evaluation.plan import Plan, run_plan
 from agents.evaluation.report import write_report as write_report
 from agents.evaluation.statistics import (
     Interval,
@@ -33,8 +33,8 @@ from agents.policies.wrappers import RoundTripPolicy
 from agents.records.manifest import write_json
 from agents.terminal.tables import print_table
 from probe_env.envs.contexts import Split
+from probe_env.envs.env import check_tubes
 from probe_env.envs.episodes.starts import EpisodeSampler, Probes, settling
-from probe_env.envs.surrogate import check_tubes
 from probe_env.fidelity import Fidelity, resolve_fidelity
 from probe_env.settings import explain
 
@@ -102,16 +102,16 @@ def plan_of(
     policies = named_policies(specs, config, case.vibration, classes=True)
     inner = {name: p.insertion if isinstance(p, RoundTripPolicy) else p for name, p in policies.items()}
     check_domains(domains_of(specs, inner), config, case.contexts, strict)
-    hardest = EpisodeSampler(config, case.contexts, probes, *settling(config, {})).stiffest
-    chosen = resolve_fidelity(fidelity, hardest, config.growing, config.returns)
+    sampler = EpisodeSampler(config, case.contexts, probes, *settling(config, {}))
+    chosen = resolve_fidelity(fidelity, sampler.stiffest, config.growing, config.returns)
     plan = Plan(policies, case.contexts, range(seeds), config, chosen, probes, case.vibration)
     if plan.probes == "random":  # drawn when an episode starts
         return plan
     try:
-        check_tubes(plan.config, plan.contexts, plan.fidelity, plan.vibration)
+        check_tubes(sampler, case.contexts, chosen, case.vibration)
     except ValueError as error:
         raise ValueError(
-            f"{case.tube.name}: {explain(error) if isinstance(error, ValidationError) else error}"
+            f"{case.plant_label.name}: {explain(error) if isinstance(error, ValidationError) else error}"
         ) from error
     return plan
 
@@ -131,30 +131,27 @@ def evaluate_plan(
     Raises:
         ValueError: an argument is not valid; nothing was run.
     """
-    reference = claim_folder(plan, output, against, own)
-    table = run_plan(plan, output, workers=workers)
+    report = report_settings(plan, against, own)
+    table = run_plan(plan, output, workers=workers, report=report)
     write_report(output)
     if plan.config.returns:
         print(f"Insertion and withdrawal; scored is {SCORED_PASSES[plan.config.inspects]}")
-    print_summary(grouped(table), reference)
+    print_summary(grouped(table), report.against)
     print(f"written: {output}/ (report.html, episodes.csv, episodes.parquet, profile.parquet, summary.csv)")
     return table
 
 
-def claim_folder(plan: Plan, output: Path, against: str | None, own: Sequence[str]) -> str:
-    """Write report.json; returns the reference policy of the comparison.
+def report_settings(plan: Plan, against: str | None, own: Sequence[str]) -> ReportSettings:
+    """Reference policy and the user's policies for the report, by the names of methods.
 
     Raises:
-        ValueError: no such policy, or the folder has another evaluation; nothing was written.
+        ValueError: no such policy.
     """
     methods = [method_and_seed(name)[0] for name in plan.policies]
     reference = method_and_seed(against)[0] if against and against in plan.policies else against or methods[0]
     if reference not in methods:
         raise ValueError(f"against = {against!r} is not one of the policies: {', '.join(plan.policies)}")
-    stored_episodes(plan, output)
-    names = list(dict.fromkeys(method_and_seed(name)[0] for name in own))
-    write_json(output / "report.json", {"against": reference, "own": names})
-    return reference
+    return ReportSettings(against=reference, own=tuple(dict.fromkeys(method_and_seed(name)[0] for name in own)))
 
 
 def report_again(folder: Path, against: str | None = None) -> Path:

@@ -21,7 +21,7 @@ from agents.evaluation.run import evaluate_plan, plan_of
 from agents.evaluation.workers import HERE, Workers
 from agents.plant.prior import UNKNOWNS
 from agents.plant.response import CHANNELS, Metres, Response, steady_tension
-from agents.policies.cases import case_of
+from agents.policies.cases import load_case
 from agents.policies.catalogue import name_and_spec
 from agents.policies.law import Law, OfDiameter
 from agents.policies.on_map import FIRST, SPACING
@@ -97,8 +97,8 @@ def recommend(
     Raises:
         ValueError: the plant, or a schedule to compare with, is not valid; nothing is written.
     """
-    case = case_of(plant, "train")
-    test_case = case_of(plant, "test", confirmation.limit) if confirmation else case
+    case = load_case(plant, "train")
+    test_case = load_case(plant, "test", confirmation.limit) if confirmation else case
     for text in outside_training(case.contexts, response, case.config):
         warnings.warn(f"outside the training range of the response: {text}", OutsideDomain, stacklevel=2)
     specs = (*(confirmation.schedules if confirmation else ()), *BASELINES)

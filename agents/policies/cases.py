@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from pathlib import Path
-from typing import Final, Literal, NamedTuple
+from typing import Any, Final, Literal, NamedTuple
 
 from agents.records.shipped import file_or_shipped
 from agents.terminal.names import checked_name, name_of
@@ -16,8 +16,8 @@ from probe_env.envs.vibration_map import VibrationMap, load_for, stored_map
 from probe_env.scene import whole_pitches
 
 
-class Named(NamedTuple):
-    """The plant of a case.
+class PlantLabel(NamedTuple):
+    """Name of the plant of a case.
 
     Attributes:
         name: of its file.
@@ -30,61 +30,42 @@ class Named(NamedTuple):
     title: str
 
 
-TABLE_2: Final = Named("table 2", "", "")
+TABLE_2: Final = PlantLabel("table 2", "", "")
 
 
 class EvaluationCase(NamedTuple):
-    """An evaluation case: task, tubes, vibration map, and the plant."""
+    """An evaluation case: task, tubes, vibration map, and the plant; None: table 2's."""
 
     config: TaskConfig
     contexts: tuple[Context, ...]
     vibration: VibrationMap
-    tube: Named = TABLE_2
+    plant: Plant | None = None
+    plant_label: PlantLabel = TABLE_2
 
 
-def case_of(plant: Plant | None, split: Split, limit: int = 0, vibration: VibrationMap | None = None) -> EvaluationCase:
-    """The case of a shipped list of tubes, or of as many tubes sampled from a plant's ranges; each list has its own.
-
-    Args:
-        plant: the plant; None: table 2's, in the shipped lists.
-        split: "train", "validation" or "test".
-        limit: number of tubes, from the start of the list; 0: all.
-        vibration: vibration map; default: the shipped one.
-
-    Raises:
-        ValueError: no such list, or a limit out of range.
-    """
-    vibration, most = vibration or stored_map(), SPLIT_SIZES[split]
-    if plant is None:
-        return EvaluationCase(TaskConfig(), spread_contexts(split, limit), vibration)
-    if not 0 <= limit <= most:
-        raise ValueError(f"limit = {limit!r} is outside the accepted range 0 (all) to {most}")
-    return EvaluationCase(plant.configured(), plant.contexts(limit or most, tuple(SPLIT_SIZES).index(split)), vibration)
-
-
-def plant_at(tube: Path | None) -> Plant | None:
+def plant_at(plant_file: Path | None) -> Plant | None:
     """Read a plant by its file, or by the name of a shipped one; None for None.
 
     Raises:
         FileNotFoundError: no such file or name.
         ValueError: the file is not valid.
     """
-    return None if tube is None else Plant.from_toml(file_or_shipped("tubes", tube))
+    return None if plant_file is None else Plant.from_toml(file_or_shipped("tubes", plant_file))
 
 
-def map_of(tube: Path | None, plant: Plant | None) -> VibrationMap:
+def map_of(plant_file: Path | None, plant: Plant | None) -> VibrationMap:
     """Read the vibration map next to a plant's file; the shipped map if there is none.
 
     Raises:
         FileError: the map is damaged, or its bore, length, probe or air differ from the file.
     """
-    if tube is None or plant is None:
+    if plant_file is None or plant is None:
         return stored_map()
     try:
-        path = map_file(file_or_shipped("tubes", tube))
+        path = map_file(file_or_shipped("tubes", plant_file))
     except FileNotFoundError:  # a file that is not written yet may have its map already
-        path = map_file(tube)
-    return load_for(path, tube.name, plant.scene) if path.exists() else stored_map()
+        path = map_file(plant_file)
+    return load_for(path, plant_file.name, plant.scene) if path.exists() else stored_map()
 
 
 def with_probe(config: TaskConfig, name: str) -> TaskConfig:
@@ -101,44 +82,48 @@ def with_probe(config: TaskConfig, name: str) -> TaskConfig:
     return config.model_copy(update={"scene": {"probe": probe, "carrier_length": carrier}})
 
 
-def round_trip(case: EvaluationCase, inspects: str) -> EvaluationCase:
-    """The case with insertion and withdrawal and twice the time limit; ``inspects`` as in ``TaskConfig``."""
-    update = {"passes": "both", "inspects": inspects, "time_limit": 2.0 * case.config.time_limit}
-    return case._replace(config=case.config.model_copy(update=update))
-
-
 def load_case(
-    tube: Path | None,
+    plant: Plant | Path | None,
     split: Split,
     limit: int = 0,
     passes: Literal["in", "both"] | None = None,
     inspects: Literal["in", "back", "best"] | None = None,
+    vibration: VibrationMap | None = None,
 ) -> EvaluationCase:
-    """The case of a plant, or of the shipped lists.
+    """The case of a shipped list of tubes, or of as many tubes sampled from a plant's ranges; each list has its own.
 
     Args:
-        tube: file or name of a plant; None: the shipped lists.
+        plant: the plant, its file or the name of a shipped one; None: table 2's, in the shipped lists.
         split: "train", "validation" or "test".
         limit: number of tubes, from the start of the list; 0: all.
-        passes: "in" or "both"; default: as in the plant's file.
+        passes: "in", or "both" with twice the time limit; default: as in the plant's file.
         inspects: pass that is scored if passes = "both"; default: as in the file, or the better one.
+        vibration: vibration map; default: the one next to the plant's file, else the shipped one.
 
     Raises:
         FileNotFoundError: no such file.
         ValueError: an argument or a file is not valid.
     """
-    plant = plant_at(tube)
-    case = case_of(plant, split, limit, map_of(tube, plant))
-    if tube is not None and plant is not None:
-        name = checked_name(name_of(tube), "a tube's file is called")
+    label, most = TABLE_2, SPLIT_SIZES[split]
+    if isinstance(plant, Path):
+        plant_file, plant = plant, Plant.from_toml(file_or_shipped("tubes", plant))
+        vibration = vibration or map_of(plant_file, plant)
+        name = checked_name(name_of(plant_file), "a tube's file is called")
         bore, length = 1e3 * plant.tube.inner_diameter, plant.tube.helix_length
         digest = hashlib.sha256(plant.model_dump_json().encode()).hexdigest()[:12]
-        case = case._replace(tube=Named(name, digest, f"{name} (bore {bore:g} mm, helix {length:g} m)"))
-    if (passes or case.config.passes) == "in":
+        label = PlantLabel(name, digest, f"{name} (bore {bore:g} mm, helix {length:g} m)")
+    if plant is None:
+        config, contexts = TaskConfig(), spread_contexts(split, limit)
+    elif 0 <= limit <= most:
+        config, contexts = plant.config, plant.contexts(limit or most, tuple(SPLIT_SIZES).index(split))
+    else:
+        raise ValueError(f"limit = {limit!r} is outside the accepted range 0 (all) to {most}")
+    update: dict[str, Any] = {"inspects": inspects} if inspects else {}
+    if (passes or config.passes) == "in":
         if inspects:
             raise ValueError(f"inspects = {inspects!r} needs --passes both: without it there is no withdrawal")
-        return case._replace(config=case.config.model_copy(update={"passes": "in"}))
-    if not case.config.returns:
-        return round_trip(case, inspects or "best")
-    update = {"inspects": inspects} if inspects else {}
-    return case._replace(config=case.config.model_copy(update=update))
+        update = {"passes": passes} if passes else {}
+    elif not config.returns:
+        update = {"passes": "both", "inspects": inspects or "best", "time_limit": 2.0 * config.time_limit}
+    config = config.model_copy(update=update) if update else config
+    return EvaluationCase(config, contexts, vibration or stored_map(), plant, label)

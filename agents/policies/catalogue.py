@@ -8,7 +8,7 @@ import warnings
 from collections.abc import Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from agents.policies.fixed import BUILT_IN, Replayed, Scheduled
 from agents.policies.law import Law, LawPolicy
@@ -17,15 +17,12 @@ from agents.policies.planner import INSPECTION_PLANNERS, PLANNERS, InsertionPlan
 from agents.policies.plc_law import PlcIntegral, PlcProportional
 from agents.policies.policy import Domain, Policy
 from agents.policies.wrappers import PREFIX, RoundTripPolicy, Shielded, fastest_withdrawal, insertion_task
-from agents.records.shipped import agent_file, policy_file, shipped_agents, shipped_names, ships
+from agents.records.shipped import policy_file, shipped_agents, shipped_names, ships
 from agents.terminal.names import checked_name, name_of
 from probe_env.envs.task import TaskConfig
 from probe_env.envs.vibration_map import VibrationMap, check_measure, stored_map
 from probe_env.files import one_line
 from probe_env.schedule import Schedule
-
-if TYPE_CHECKING:
-    from agents.policies.bundle import Agent
 
 DATA: Final = Path(__file__).parent / "data"
 STORED: Final = ("best-constant", "best-schedule")
@@ -75,8 +72,7 @@ def name_and_spec(argument: str) -> tuple[str, str]:
 
 def _is_known(spec: str) -> bool:
     bare = spec.removeprefix(PREFIX)
-    named = bare in (*NAMES, *OLD_NAMES, *shipped_names("schedules")) or agent_file(bare) is not None
-    return named or bool(CLASS.fullmatch(bare)) or _is_file(spec)
+    return bare in (*NAMES, *OLD_NAMES) or policy_file(bare) != bare or bool(CLASS.fullmatch(bare)) or _is_file(spec)
 
 
 def _is_file(spec: str) -> bool:
@@ -140,7 +136,9 @@ def make_policy(spec: str, config: TaskConfig, vibration: VibrationMap | None = 
     if suffix == ".json":
         return LawPolicy(config, law=Law.read(spec))
     if suffix == ".safetensors":
-        return _agent(spec, config)
+        from agents.policies.bundle import load_bundle  # torch takes seconds to import
+
+        return load_bundle(spec, config)
     if custom := CLASS.fullmatch(spec):
         if not classes:
             raise ValueError(f"policy = {spec!r}: a class imports code, which specs from a file must not do")
@@ -182,21 +180,18 @@ def _round_trip(spec: str, config: TaskConfig, vibration: VibrationMap | None, c
         names = ", ".join(INSPECTION_PLANNERS)
         raise ValueError(f"policy = {spec!r} plans the insertion only; planners for --passes both: {names}")
     file = Path(policy_file(spec.removeprefix(PREFIX)))
-    if file.suffix == ".safetensors" and _agent(file).config.returns:
-        if spec.startswith(PREFIX):
-            raise ValueError(f"policy = {spec!r}: the shield acts on the insertion only, this agent on both passes")
-        return _agent(file, config)
+    if file.suffix == ".safetensors":
+        from agents.policies.bundle import load_bundle
+
+        if load_bundle(file).config.returns:
+            if spec.startswith(PREFIX):
+                raise ValueError(f"policy = {spec!r}: the shield acts on the insertion only, this agent on both passes")
+            return load_bundle(file, config)
     back = Schedule.read_withdrawal(file) if file.suffix in (".csv", ".toml") else None
     if back is not None:
         _warn_of_limits(f"{spec}, withdrawal", back, config)
     insertion = make_policy(spec, insertion_task(config), vibration, classes)
     return RoundTripPolicy(config, insertion, back or fastest_withdrawal(config))
-
-
-def _agent(file: str | Path, config: TaskConfig | None = None) -> Agent:
-    from agents.policies.bundle import load_bundle  # torch takes seconds to import
-
-    return load_bundle(file, config)
 
 
 def domains_of(specs: Sequence[str], policies: Mapping[str, Policy]) -> dict[str, Domain | None]:

@@ -11,7 +11,7 @@ import safetensors.numpy
 from safetensors import SafetensorError
 
 from agents.policies.view import View
-from agents.records.shipped import DEFAULT_SEED, agent_file, file_or_shipped, shipped_agents
+from agents.records.shipped import DEFAULT_SEED, file_or_shipped, policy_file, shipped_agents
 from agents.terminal.tables import print_terms
 from probe_env.envs.task import TaskConfig
 from probe_env.envs.task.scales import PROBE
@@ -45,8 +45,7 @@ def print_agents() -> None:
         FileError: a bundle or a training file is not valid.
     """
     for name, seeds in shipped_agents().items():
-        path = agent_file(name)
-        assert path is not None
+        path = Path(policy_file(name))
         text, _, _ = read_weights(path)
         try:
             description = tuples(json.loads(text))

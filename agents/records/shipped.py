@@ -73,32 +73,20 @@ def shipped_agents() -> dict[str, tuple[int, ...]]:
     return {name: tuple(sorted(by_name[name])) for name in sorted(by_name)}
 
 
-def agent_file(spec: str) -> Path | None:
-    """The bundle of a trained agent, NAME or NAME@SEED; None if no agent has this name.
-
-    Raises:
-        ValueError: the agent has no such training seed.
-    """
-    name, at, seed = spec.partition("@")
-    seeds = shipped_agents().get(name)
-    if seeds is None:
-        return None
-    if at and seed not in map(str, seeds):
-        raise ValueError(f"policy = {spec!r}: the training seeds of {name} are {', '.join(map(str, seeds))}")
-    return shipped_folder("agents") / name / f"seed-{seed or DEFAULT_SEED}" / AGENT_FILE
-
-
 def policy_file(spec: str) -> str:
-    """The path of the shipped agent or schedule of a name; any other spec is returned unchanged.
+    """The path of a shipped agent, NAME or NAME@SEED, or schedule; any other spec is returned unchanged.
 
     Raises:
         ValueError: the agent has no such training seed.
     """
     if Path(spec).suffix and Path(spec).exists():
         return spec
-    agent = agent_file(spec)
-    if agent is not None:
-        return str(agent)
+    name, at, seed = spec.partition("@")
+    seeds = shipped_agents().get(name)
+    if seeds is not None:
+        if at and seed not in map(str, seeds):
+            raise ValueError(f"policy = {spec!r}: the training seeds of {name} are {', '.join(map(str, seeds))}")
+        return str(shipped_folder("agents") / name / f"seed-{seed or DEFAULT_SEED}" / AGENT_FILE)
     return next((str(path) for path in _files("schedules") if spec in (path.stem, path.name)), spec)
 
 

@@ -17,7 +17,7 @@ from pydantic import ValidationError
 from agents.evaluation.plan import BATCH, Plan, run_plan
 from agents.evaluation.statistics import grouped
 from agents.evaluation.workers import HERE, Workers
-from agents.policies.cases import EvaluationCase, case_of, map_of, plant_at, with_probe
+from agents.policies.cases import EvaluationCase, load_case, map_of, plant_at, with_probe
 from agents.policies.catalogue import named_policies
 from agents.policies.fixed import Scheduled
 from agents.policies.law import LawPolicy
@@ -89,7 +89,7 @@ def _setting(study: Study, fidelity: str, changes: Changes) -> Setting:
         plant, update = plant_at(tube), _nested("plant", study.set | changes)
         if update:
             plant = (plant or Plant()).model_copy(update=update)
-        case = case_of(plant, study.contexts, study.limit, map_of(tube, plant))
+        case = load_case(plant, study.contexts, study.limit, vibration=map_of(tube, plant))
         unvaried = _changed(case.config.full_observation, study.set)
         config = _changed(unvaried, changes)
         accuracy = resolve_fidelity(fidelity, config.scene, config.growing, config.returns)
@@ -183,7 +183,7 @@ def _recommended(name: str, config: TaskConfig, plant: Plant | None) -> Policy:
     from agents.plant.recommendation import optimal_law, optimal_schedule
     from agents.plant.response import stored_response
 
-    tubes, response = case_of(plant, "train").contexts, stored_response()
+    tubes, response = load_case(plant, "train").contexts, stored_response()
     if name == "recommended":
         return Scheduled(config, optimal_schedule(tubes, response, config).schedule)
     return LawPolicy(config, law=optimal_law(tubes, response, config))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import math
 from collections.abc import Mapping
+from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Final, Self
 
@@ -13,7 +14,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, ValidationError, mo
 from pydantic_core import PydanticCustomError
 
 from agents.policies.bundle import ALGORITHMS, Algorithm, Network
-from agents.policies.cases import case_of, map_of
+from agents.policies.cases import load_case, map_of
 from agents.policies.catalogue import make_policy
 from agents.policies.plc_law import Constants
 from agents.policies.policy import Policy
@@ -152,31 +153,31 @@ class Training(Model):
         """The training as TOML text, with all settings except the search."""
         return tomli_w.dumps(self.model_dump(mode="json", exclude_none=True, exclude={"search"}))
 
-    @property
+    @cached_property
     def task(self) -> TaskConfig:
         """Task of the training."""
         defaults = ENVIRONMENTS[self.environment.env_id].defaults
         return resolve_settings(defaults, self.environment.task, {"tube": self.environment.tube})[0]
 
-    @property
+    @cached_property
     def trained_in(self) -> Contexts:
         """Tubes of the training: a shipped list, ranges, or those of the plant."""
         plant, named = self.environment.tube, self.environment.contexts
         if plant is None:
             return named
-        return plant.contexts(RANDOM_TUBES) if named == "random" else case_of(plant, named).contexts
+        return plant.contexts(RANDOM_TUBES) if named == "random" else load_case(plant, named).contexts
 
-    @property
+    @cached_property
     def validated_in(self) -> tuple[Context, ...]:
         """Tubes in which the best model is selected."""
-        return case_of(self.environment.tube, self.validation.contexts, self.validation.limit).contexts
+        return load_case(self.environment.tube, self.validation.contexts, self.validation.limit).contexts
 
-    @property
+    @cached_property
     def validation_fidelity(self) -> Fidelity:
         """Simulation settings of the validation."""
         return resolve_fidelity(self.validation.fidelity, self.task.scene, round_trip=self.task.returns)
 
-    @property
+    @cached_property
     def vibration(self) -> VibrationMap | None:
         """Vibration map of the plant, for the teacher and for fidelity "surrogate"; None: the shipped one."""
         file = self.environment.map_beside
@@ -191,7 +192,7 @@ class Training(Model):
             self.imitation.teacher, self.task.full_observation, self.vibration
         )  # may use more observations than the agent
 
-    @property
+    @cached_property
     def view(self) -> View:
         """Features and actions of the agent."""
         return View(

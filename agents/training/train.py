@@ -182,8 +182,7 @@ def train(
         position = training.seeds.index(seed) if threads else 0
     with run_lock(folder):
         torch.set_num_threads(1)
-        env, plan = _environments(training, threads)
-        model = _new_model(training, env, seed)
+        env, plan, model = _new_run(training, seed, threads)
         rows = restore(model, folder / CHECKPOINT)
         if rows:
             _write_curve(rows, folder)  # the stored curve may lack the last phase
@@ -251,8 +250,8 @@ class ViewVecEnv(VecEnvWrapper):
         return features, np.asarray(rewards * self.reward_scale, dtype=np.float32), dones, infos
 
 
-def _environments(training: Training, threads: int | None) -> tuple[ViewVecEnv, Plan]:
-    """Environments of the training, and the plan of the validation without a policy."""
+def _new_run(training: Training, seed: int, threads: int | None) -> tuple[ViewVecEnv, Plan, BaseAlgorithm]:
+    """Environments of the training, the plan of the validation without a policy, and the untrained model."""
     settings, task = training.environment, training.task.full_observation
     batch = ProbeVecEnv(
         settings.env_id, settings.num_envs, task,
@@ -260,10 +259,7 @@ def _environments(training: Training, threads: int | None) -> tuple[ViewVecEnv, 
         surrogate_map=training.vibration,
     )  # fmt: skip
     plan = Plan({}, training.validated_in, (0,), task, training.validation_fidelity, settings.probes)
-    return ViewVecEnv(batch, training.view, task, settings.reward_scale), plan
-
-
-def _new_model(training: Training, env: ViewVecEnv, seed: int) -> BaseAlgorithm:
+    env = ViewVecEnv(batch, training.view, task, settings.reward_scale)
     set_random_seed(seed)
     algorithm, name = ALGORITHMS[training.algorithm]
     interval = training.network.noise_interval
@@ -272,7 +268,7 @@ def _new_model(training: Training, env: ViewVecEnv, seed: int) -> BaseAlgorithm:
     model: BaseAlgorithm = algorithm(
         name, env, policy_kwargs=arguments, device="cpu", seed=seed, **exploration, **training.learning
     )
-    return model
+    return env, plan, model
 
 
 def _run_phase(

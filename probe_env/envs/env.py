@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, ClassVar, SupportsFloat, Unpack
+from typing import TYPE_CHECKING, Any, ClassVar, SupportsFloat, Unpack, cast
 
 import gymnasium as gym
 import numpy as np
@@ -12,10 +12,14 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
 from probe_env.arrays import FloatArray
-from probe_env.envs.episodes.starts import DEFAULTS, EpisodeSettings, resolve_settings
-from probe_env.envs.surrogate import make_episodes
+from probe_env.envs.contexts import Context
+from probe_env.envs.episodes import Episodes
+from probe_env.envs.episodes.limits import check_fidelity, check_start
+from probe_env.envs.episodes.starts import DEFAULTS, EpisodeSampler, EpisodeSettings, resolve_settings
+from probe_env.envs.surrogate import SurrogateEpisodes, check_task, check_tube
 from probe_env.envs.task import TaskConfig
-from probe_env.fidelity import is_surrogate
+from probe_env.envs.vibration_map import VibrationMap, stored_map
+from probe_env.fidelity import Fidelity, is_surrogate
 from probe_env.settings import check_keywords, one_line_errors
 
 if TYPE_CHECKING:
@@ -23,6 +27,45 @@ if TYPE_CHECKING:
 
 Observation = npt.NDArray[np.float32]
 RENDER_MODES = ("rgb_array", "human")
+
+
+def make_episodes(
+    count: int,
+    config: TaskConfig,
+    *,
+    threads: int | None = None,
+    allow_standstill: bool = False,
+    **settings: Unpack[EpisodeSettings],
+) -> Episodes:
+    """Episodes of any fidelity: ``Episodes``, or ``SurrogateEpisodes``, which have the same methods."""
+    if is_surrogate(settings.get("fidelity", DEFAULTS["fidelity"])):
+        return cast(Episodes, SurrogateEpisodes(count, config, allow_standstill=allow_standstill, **settings))
+    return Episodes(count, config, threads=threads, allow_standstill=allow_standstill, **settings)
+
+
+def check_tubes(
+    sampler: EpisodeSampler, contexts: Sequence[Context], fidelity: Fidelity, vibration: VibrationMap | None = None
+) -> None:
+    """Raise ValueError if an episode of the scene's probe cannot begin in one of the tubes; nothing is simulated.
+
+    Args:
+        sampler: of the episodes.
+        contexts: the tubes.
+        fidelity: of the episodes.
+        vibration: map of the surrogate; default: the shipped one.
+    """
+    config, vibration = sampler.config, vibration or stored_map()
+    config.action(sampler.feed_speed, sampler.air_supply_rate)  # raises if out of the task's range
+    if fidelity.simulates:
+        check_fidelity(fidelity, config)
+    else:
+        check_task(config, sampler.probes, vibration)
+    for context in contexts:
+        scene = sampler.build(context, {})
+        if fidelity.simulates:
+            check_start(scene, fidelity, config)
+        else:
+            check_tube(context, scene, vibration)
 
 
 def spaces_of(config: TaskConfig) -> tuple[gym.spaces.Box, gym.spaces.Box]:

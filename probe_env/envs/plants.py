@@ -287,13 +287,11 @@ class Plant(Model):
     @classmethod
     def from_toml(cls, path: str | Path) -> Self:
         """Read the file of a plant and of its calibration, if it names one; raises as ``Model.from_toml``."""
-        data = read_toml(path)
+        tables = with_posterior(read_toml(path), Path(path).parent)
         try:
-            return cls.model_validate(with_posterior(data, Path(path).parent))
+            return cls.model_validate(tables)
         except ValidationError as error:
             raise FileError(path, explain(error)) from error
-        except FileError:
-            raise
         except (ValueError, OverflowError) as error:
             raise FileError(path, str(error)) from error
 
@@ -371,7 +369,7 @@ class Plant(Model):
     @cached_property
     def config(self) -> TaskConfig:
         """The plant's task."""
-        return self._config({}, {})
+        return self.configured()
 
     def configured(
         self, defaults: Mapping[str, Any] | None = None, changes: Mapping[str, Any] | None = None
@@ -383,17 +381,14 @@ class Plant(Model):
         Raises:
             ValueError: a field is unknown or not valid.
         """
-        return self._config(defaults or {}, changes or {}) if defaults or changes else self.config
-
-    def _config(self, defaults: Mapping[str, Any], changes: Mapping[str, Any]) -> TaskConfig:
         device = {
             name: getattr(part, name) for part, names in ((self.feed, OF_FEED), (self.air, OF_AIR)) for name in names
         }
         values: dict[str, Any] = {"scene": self.scene, "sensor": self.sensor}
         if self.tube.helix_length > LONGEST:
             values["time_limit"] = TaskConfig().time_limit * self.tube.helix_length / LONGEST
-        values |= dict(defaults) | {name: value for name, value in device.items() if value is not None}
-        return TaskConfig.model_validate(tuples(values | self.task | ungrouped(dict(changes))))
+        values |= dict(defaults or {}) | {name: value for name, value in device.items() if value is not None}
+        return TaskConfig.model_validate(tuples(values | self.task | ungrouped(dict(changes or {}))))
 
     def _drag_factors(self, shares: FloatArray) -> FloatArray:
         """(n,) drag over its median at shares (n,) in (0, 1)."""
@@ -495,9 +490,9 @@ def _balanced_diameters(shares: FloatArray, diameters: Sequence[float]) -> list[
     return assigned
 
 
-def map_file(tube: Path) -> Path:
+def map_file(plant_file: Path) -> Path:
     """File of the vibration map of a plant: NAME-map.npz next to the plant's file."""
-    return tube.with_name(f"{tube.stem}-map.npz")
+    return plant_file.with_name(f"{plant_file.stem}-map.npz")
 
 
 PlantSource = Plant | str | Path | Mapping[str, Any] | None

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final, NamedTuple, NoReturn, Unpack, cast
+from typing import Any, Final, NamedTuple, NoReturn, Unpack
 
 import numpy as np
 import numpy.typing as npt
@@ -17,9 +17,8 @@ import numpy.typing as npt
 from probe_env.arrays import BoolArray, FloatArray
 from probe_env.design import RANGES
 from probe_env.envs.contexts import Context
-from probe_env.envs.episodes import Episodes, Step
+from probe_env.envs.episodes import Step
 from probe_env.envs.episodes.episodes import check_running
-from probe_env.envs.episodes.limits import check_fidelity, check_start
 from probe_env.envs.episodes.scoring import EpisodeMetrics
 from probe_env.envs.episodes.starts import (
     DEFAULTS,
@@ -33,7 +32,7 @@ from probe_env.envs.episodes.starts import (
 from probe_env.envs.task import COSTS, FAILURES, Score, TaskConfig, rules
 from probe_env.envs.task.observations import SensorModel, normal_draws
 from probe_env.envs.vibration_map import CONTEXT, VibrationMap, check_measure, load_for, rms_limit, stored_map
-from probe_env.fidelity import PRESETS, SURROGATE, Fidelity, is_surrogate
+from probe_env.fidelity import PRESETS, SURROGATE
 from probe_env.physics.closed_forms import buckling_load, sliding_tension
 from probe_env.physics.model.drive import drives_after
 from probe_env.scene import Scene
@@ -94,45 +93,6 @@ def features(vibration: FloatArray, feed: FloatArray, length: FloatArray, tubes:
     return np.column_stack([one, vibration, np.log10(np.maximum(feed, 1e-3)), length / 60.0, friction, diameter])
 
 
-def make_episodes(
-    count: int,
-    config: TaskConfig,
-    *,
-    threads: int | None = None,
-    allow_standstill: bool = False,
-    **settings: Unpack[EpisodeSettings],
-) -> Episodes:
-    """Episodes of any fidelity: ``Episodes``, or ``SurrogateEpisodes``, which have the same methods."""
-    if is_surrogate(settings.get("fidelity", DEFAULTS["fidelity"])):
-        return cast(Episodes, SurrogateEpisodes(count, config, allow_standstill=allow_standstill, **settings))
-    return Episodes(count, config, threads=threads, allow_standstill=allow_standstill, **settings)
-
-
-def check_tubes(
-    config: TaskConfig, contexts: Sequence[Context], fidelity: Fidelity, vibration: VibrationMap | None = None
-) -> None:
-    """Raise ValueError if an episode of the scene's probe cannot begin in one of the tubes; nothing is simulated.
-
-    Args:
-        config: the task.
-        contexts: the tubes.
-        fidelity: of the episodes.
-        vibration: map of the surrogate; default: the shipped one.
-    """
-    sampler = EpisodeSampler(config, tuple(contexts), "scene", *settling(config, {}))
-    config.action(sampler.feed_speed, sampler.air_supply_rate)  # raises if out of the task's range
-    if fidelity.simulates:
-        check_fidelity(fidelity, config)
-    else:
-        _check_task(config, "scene", vibration or stored_map())
-    for context in contexts:
-        scene = sampler.build(context, {})
-        if fidelity.simulates:
-            check_start(scene, fidelity, config)
-        else:
-            _check_tube(context, scene, vibration or stored_map())
-
-
 class SurrogateEpisodes:
     """N surrogate episodes; same methods as ``Episodes``, fewer infos and KPIs.
 
@@ -169,7 +129,7 @@ class SurrogateEpisodes:
         self.map = vibration or stored_map()
         self.config, self.noise, self.fidelity = config, noise, PRESETS[SURROGATE]
         self.allow_standstill = allow_standstill
-        _check_task(config, arguments["probes"], self.map)
+        check_task(config, arguments["probes"], self.map)
         if count < 1:
             raise ValueError(f"num_envs = {count!r} is outside the accepted range 1 and more")
         feed, air = settling(config, settings)
@@ -230,7 +190,7 @@ class SurrogateEpisodes:
         with restored_on_error(rngs[k] for k in which):
             for k in which:
                 prepared[k] = self.sampler.draw(rngs[k], (options or {}).get(k) or {})
-                _check_tube(*prepared[k], self.map)
+                check_tube(*prepared[k], self.map)
         for k, (context, scene) in prepared.items():
             self.rng[k], self.context[k] = rngs[k], context
             self.tubes[k] = [getattr(context, name) for name in CONTEXT]
@@ -394,7 +354,7 @@ def _rows(columns: Mapping[str, npt.NDArray[Any]]) -> list[dict[str, Any]]:
     return [dict(zip(names, row, strict=False)) for row in rows]  # strict=True takes 10 % of a step
 
 
-def _check_tube(context: Context, scene: Scene, vibration: VibrationMap) -> None:
+def check_tube(context: Context, scene: Scene, vibration: VibrationMap) -> None:
     """Raise ValueError if a map does not cover the tube and probe of an episode."""
     if scene.probe != vibration.scene.probe:
         raise ValueError("probe: the map is of another probe; simulate with fidelity fast or finer")
@@ -407,7 +367,7 @@ def _check_tube(context: Context, scene: Scene, vibration: VibrationMap) -> None
             )
 
 
-def _check_task(config: TaskConfig, probes: Probes, vibration: VibrationMap) -> None:
+def check_task(config: TaskConfig, probes: Probes, vibration: VibrationMap) -> None:
     """Raise ValueError if the map does not predict a task."""
     length, longest = config.scene.tube.helix_length, vibration.scene.tube.helix_length
     refused = {

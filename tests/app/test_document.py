@@ -19,7 +19,7 @@ from agents.app.state import AppState
 from agents.app.worker import row_of, shape_of
 from agents.design.compare import cells, read_comparison, summarise
 from agents.evaluation.plan import Plan, RolloutRunner
-from agents.policies.cases import case_of
+from agents.policies.cases import load_case
 from agents.policies.catalogue import named_policies
 from probe_env.fidelity import resolve_fidelity
 
@@ -114,7 +114,7 @@ def test_garbage_collection_skips_open_pages_and_frees_closed_ones(server):
 
 
 def test_charts_around_the_tube_are_drawn_less_often_while_the_probe_moves(app, monkeypatch):
-    case = case_of(None, "test", 1)
+    case = load_case(None, "test", 1)
     config = case.config.full_observation
     plan = Plan(named_policies(["constant"], config), case.contexts, config=config, fidelity=resolve_fidelity("fast"))
     runner, page = RolloutRunner(plan, deque(plan.units()), 1, 1), Page(app)

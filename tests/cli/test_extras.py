@@ -47,7 +47,7 @@ def test_a_missing_module_is_named_with_the_smallest_extra(monkeypatch, capsys):
         def missing(*_, name=module):
             raise ModuleNotFoundError(f"No module named {name!r}", name=name)
 
-        monkeypatch.setattr("agents.cli._run_command", missing)
+        monkeypatch.setattr("agents.cli.parsing.parse", missing)
         assert main(["simulate"]) == 2
         package = module.partition(".")[0]
         line = f'this command needs {package}, which is not installed: pip install "probe-env[{extra}]"'

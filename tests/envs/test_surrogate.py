@@ -8,7 +8,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 from agents.evaluation.plan import Plan, run_plan
-from agents.policies.cases import case_of, load_case
+from agents.policies.cases import load_case
 from agents.policies.catalogue import named_policies
 from agents.training.config import Training
 from agents.vec_env import ProbeVecEnv
@@ -173,7 +173,7 @@ def test_other_environments_rendering_and_planning_are_refused():
         gym.make("probe_env/Insertion-v1", fidelity="surrogate", render_mode="rgb_array")
     with pytest.raises(ValueError, match=r"time_step: not accepted, method = 'surrogate' does not"):
         Fidelity(method="surrogate", time_step=1e-4)
-    case = case_of(None, "test", 1)
+    case = load_case(None, "test", 1)
     planner = named_policies(("planner",), case.config.full_observation)
     with pytest.raises(ValueError, match="no simulator for planning"):
         run_plan(Plan(planner, case.contexts, (0,), case.config.full_observation, PRESETS["surrogate"]), None)
@@ -190,7 +190,7 @@ def test_a_plant_uses_the_map_next_to_its_file():
 
 
 def test_policies_keep_their_order():
-    case = case_of(None, "test", 6)
+    case = load_case(None, "test", 6)
     config = case.config.full_observation
     policies = named_policies(("constant", "best-schedule", "privileged"), config)
     table = run_plan(Plan(policies, case.contexts, (0,), config, PRESETS["surrogate"]), None)

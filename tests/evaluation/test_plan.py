@@ -17,7 +17,7 @@ from agents.evaluation.folder import episodes_of
 from agents.evaluation.kpis import PROFILE_COLUMNS
 from agents.evaluation.plan import Plan, RolloutRunner, per_metre, run_plan
 from agents.evaluation.run import evaluate_plan, plan_of
-from agents.policies.cases import case_of
+from agents.policies.cases import load_case
 from agents.policies.catalogue import make_policy
 from agents.policies.fixed import Constant
 from probe_env import Context, Scene
@@ -189,7 +189,7 @@ def test_evaluate_gives_the_table_with_and_without_a_folder(tmp_path):
 
 def test_bad_arguments_are_named_and_nothing_is_written(tmp_path):
     def run(specs, contexts, limit, seeds, against=None):
-        evaluate_plan(plan_of(specs, case_of(None, contexts, limit), seeds, "fast"), tmp_path / "out", against)
+        evaluate_plan(plan_of(specs, load_case(None, contexts, limit), seeds, "fast"), tmp_path / "out", against)
 
     for arguments, message in (
         ((["constant"], "validation", 99, 1), "limit = 99"),

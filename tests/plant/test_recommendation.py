@@ -22,7 +22,7 @@ from agents.plant.recommendation import (
     safe_air,
 )
 from agents.plant.response import Metres, stored_response
-from agents.policies.cases import case_of
+from agents.policies.cases import load_case
 from agents.policies.catalogue import DATA
 from agents.records.tables import read_csv
 from probe_env import Context, Plant
@@ -39,7 +39,7 @@ PLANT = Plant(
     feed=FeedDevice(feed_speeds=(0.03, 0.35), feed_speed_step=0.005),
 )
 TUBES = [Context(friction=mu, helix_diameter=1.3) for mu in (0.12, 0.16, 0.2)]
-TRAIN = case_of(None, "train")
+TRAIN = load_case(None, "train")
 CONFIG = TRAIN.config
 TUBE = "[tube]\nhelix_length = 24.0\n[contact]\nfriction = { low = 0.1, high = 0.2 }\n"
 
@@ -113,7 +113,7 @@ def test_air_is_safe_in_every_tube() -> None:
         assert (max(root_compression(CONFIG, tube, air, speeds[0]) for tube in TRAIN.contexts) <= load / MARGIN) == safe
     pulls = least_root_tension(CONFIG, TRAIN.contexts, np.array([air_in - 1.0, air_in]), speeds[1])
     assert pulls[0] < MARGIN * CONFIG.required_tension <= pulls[1]
-    unseen = case_of(None, "test").contexts
+    unseen = load_case(None, "test").contexts
     assert [k for k, tube in enumerate(unseen) if root_compression(CONFIG, tube, 130.0, 0.4) > load] == [29]
     fewer = safe_air(CONFIG, TRAIN.contexts[:6], speeds)
     assert fewer[0] <= air_in

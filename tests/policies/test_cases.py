@@ -9,7 +9,7 @@ import pytest
 from agents.cli import main
 from agents.evaluation.plan import run_plan
 from agents.evaluation.run import plan_of
-from agents.policies.cases import case_of, load_case, map_of, round_trip, with_probe
+from agents.policies.cases import load_case, map_of, with_probe
 from agents.policies.catalogue import make_policy
 from agents.policies.on_map import LEAST_AIR, best_schedule_for, knots, least_air
 from agents.policies.policy import Domain, OutsideDomain, ranges_of
@@ -61,9 +61,7 @@ def test_schedules_reach_the_end_of_the_helix_within_the_plants_ranges():
 @pytest.mark.parametrize("passes", ["in", "both"])
 def test_what_policies_were_made_for_is_said_or_refused(passes):
     rough = Plant(contact={"friction": {"low": 0.2, "high": 0.4}}, tube={"inner_diameter": 22.1e-3})
-    case = case_of(rough, "test", 4)
-    if passes == "both":
-        case = round_trip(case, "best")
+    case = load_case(rough, "test", 4, passes)
     with pytest.warns(OutsideDomain) as caught:
         plan_of(["best-schedule", "tension-scheduled", "pi"], case, 1, "fast")
     assert [str(w.message).split(" was")[0] for w in caught] == ["best-schedule", "tension-scheduled"]
@@ -77,7 +75,7 @@ def test_what_policies_were_made_for_is_said_or_refused(passes):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         plan_of(
-            ["best-schedule", "tension-scheduled", "adaptive", "ppo"], case_of(None, "test"), 1, "fast", strict=True
+            ["best-schedule", "tension-scheduled", "adaptive", "ppo"], load_case(None, "test"), 1, "fast", strict=True
         )
 
 
@@ -151,7 +149,7 @@ def test_a_map_is_found_beside_the_file_of_its_tubes_and_one_of_another_tube_is_
 def test_results_of_different_plants_never_mix(small, tmp_path):
     plant = Plant.from_toml(small)
     other = plant.model_copy(update={"tube": {"inner_diameter": 23.5e-3}})
-    first, second = (plan_of(["constant"], case_of(each, "test", 1), 1, "fast") for each in (plant, other))
+    first, second = (plan_of(["constant"], load_case(each, "test", 1), 1, "fast") for each in (plant, other))
     run_plan(first, tmp_path, progress=False)
     with pytest.raises(ValueError, match="other settings"):
         run_plan(second, tmp_path, progress=False)
@@ -183,7 +181,7 @@ def test_a_file_that_is_not_valid_or_not_there_is_named(tmp_path, capsys):
 def test_a_probe_with_a_longer_guide_goes_into_a_helix_that_is_full():
     """The improved probe has 10 m of guide cable, the plant's own 2.5 m; table 2's helix has room for it."""
     plant = Plant.model_validate({"tube": {"helix_length": 28.0}})
-    config = case_of(plant, "test", 1).config
+    config = load_case(plant, "test", 1).config
     own, improved = config.scene, with_probe(config, "improved").scene
     assert own.inserted_length == pytest.approx(28.0)
     assert improved.probe.guide_length == pytest.approx(10.0)

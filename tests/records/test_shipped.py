@@ -7,7 +7,7 @@ import pytest
 
 from agents.policies.catalogue import NAMES
 from agents.records import shipped
-from agents.records.shipped import agent_file, file_or_shipped, policy_file, shipped_agents, shipped_names
+from agents.records.shipped import file_or_shipped, policy_file, shipped_agents, shipped_names
 
 ROOT = Path(__file__).parents[2]
 
@@ -41,8 +41,8 @@ def test_a_checkout_ships_what_it_holds():
     assert len(set(names)) == len(names)  # none stands for two policies
     assert shipped_names("train") == tuple(shipped_agents())  # each is how its agents were made
     assert {"original", "improved"} <= set(shipped_names("design"))
-    assert agent_file("ppo") == ROOT / "results" / "agents" / "ppo" / "seed-0" / "agent.safetensors"
-    assert agent_file("ppo@2") == ROOT / "results" / "agents" / "ppo" / "seed-2" / "agent.safetensors"
+    for spec, seed in (("ppo", 0), ("ppo@2", 2)):
+        assert policy_file(spec) == str(ROOT / "results" / "agents" / "ppo" / f"seed-{seed}" / "agent.safetensors")
     assert file_or_shipped("scenes", "fig11_l10") == ROOT / "configs" / "scenes" / "fig11_l10.toml"
 
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from agents.evaluation.run import plan_of
-from agents.policies.cases import case_of
+from agents.policies.cases import load_case
 from probe_env import Fidelity, Plant, Scene
 from probe_env.envs.episodes import Episodes
 from probe_env.fidelity import PRESETS, resolve_fidelity
@@ -65,7 +65,7 @@ def test_environments_replace_superelements_by_default(env_id):
 def test_an_evaluation_by_auto_uses_its_tubes():
     """As its episodes do; stiffer contact than that of table 2 needs other settings."""
     hard = Plant.model_validate({"contact": {"stiffness": 5e5}})
-    case = case_of(hard, "test", 2)
+    case = load_case(hard, "test", 2)
     plan = plan_of(["constant"], case, 1, "auto:0.5")
     episodes = Episodes(1, plan.config, threads=1, fidelity="auto:0.5", contexts=case.contexts)
     assert plan.fidelity == episodes.fidelity != resolve_fidelity("auto:0.5")
@@ -73,7 +73,7 @@ def test_an_evaluation_by_auto_uses_its_tubes():
 
 def test_an_evaluation_keeps_what_it_was_simulated_with():
     """In the plan, so in setting and manifest, also at half the step and where a finer fidelity checks it."""
-    case = case_of(Plant.model_validate(SHORT | CABLE), "test", 1)
+    case = load_case(Plant.model_validate(SHORT | CABLE), "test", 1)
     plan = plan_of(["constant"], case, 1, "fast")
     assert plan.fidelity == resolve_fidelity("fast", Scene.model_validate(CABLE))
     assert plan.setting()["fidelity"] == plan.fidelity.model_dump()

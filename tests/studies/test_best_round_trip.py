@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 
 from agents.plant.recommendation import safe_air
-from agents.policies.cases import case_of, round_trip
+from agents.policies.cases import load_case
 from agents.policies.catalogue import make_policy
 from agents.studies.builtin import Request
 from agents.studies.shipped import best_round_trip as searched
@@ -21,8 +21,8 @@ from probe_env.envs.plants import FeedDevice, Supply, Tubes
 from probe_env.inspection.metrics import POD_NAMES
 from probe_env.schedule import INSERTION, WITHDRAWAL, Schedule
 
-CONFIG = round_trip(case_of(None, "train", 1), "best").config
-TUBES = case_of(None, "train").contexts
+CONFIG = load_case(None, "train", 1, "both").config
+TUBES = load_case(None, "train").contexts
 SPACE = ranges(CONFIG, TUBES)
 PLANT = Plant(
     tube=Tubes(inner_diameter=23e-3, helix_length=45.0),
@@ -118,7 +118,7 @@ def test_what_is_tried_is_what_the_device_can_do() -> None:
 
     Steps [m3/h] of a coarse supply do not round air out of what is safe.
     """
-    case = round_trip(case_of(PLANT, "train", 6), "best")
+    case = load_case(PLANT, "train", 6, "both")
     config, space = case.config, ranges(case.config, case.contexts)
     rounded = rounded_numbers(config, dict(zip(COLUMNS, (0.1337, 40.0, 0.2, 53.0), strict=True)))
     assert [rounded[name] for name in COLUMNS] == pytest.approx([0.135, 39.6, 0.2, 54.0])

@@ -106,10 +106,11 @@ def run(request: Request) -> Numbers:
         FileError: a stored episode is damaged, or of another task.
     """
     trials, limit = request.budget("trials", TRIALS), request.budget("limit", LIMIT, SPLIT_SIZES["train"])
-    train = load_case(request.tube, "train", limit, "both")
-    unseen = load_case(request.tube, "validation", 0, "both")
+    whole = load_case(request.tube, "train", 0, "both")
+    train = whole._replace(contexts=whole.contexts[:limit])
+    unseen = load_case(whole.plant, "validation", 0, "both")
     config, output, played = train.config.full_observation, request.output, request.output / "simulated"
-    space = ranges(config, load_case(request.tube, "train", 0, "both").contexts)
+    space = ranges(config, whole.contexts)
     print(f"{trials} trials of {limit} inspections each, stored in {played}; stored ones are not run again")
     tried, commits = _run_trials(trials, space, train, played, request.workers)
     row = tried.iloc[int(tried["reward"].to_numpy().argmax())].to_dict()

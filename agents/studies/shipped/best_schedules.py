@@ -12,7 +12,7 @@ from cmaes import CMA
 from tqdm import tqdm
 
 from agents.evaluation.plan import Plan, run_plan, stored_episodes
-from agents.policies.cases import case_of, map_of, plant_at
+from agents.policies.cases import load_case, map_of, plant_at
 from agents.policies.fixed import Scheduled
 from agents.policies.on_map import FIRST, least_air
 from agents.records.atomic import write_atomically
@@ -120,7 +120,7 @@ def run(request: Request) -> None:
 def run_search(name: str, trials: int, request: Request, vibration: VibrationMap, plant: Plant | None) -> Schedule:
     """Search a family; writes NAME.csv (the schedule), NAME-trials.csv and NAME.json; raises as ``run``."""
     family, output = FAMILIES[name], request.output
-    train, validation = (case_of(plant, split) for split in ("train", "validation"))
+    train, validation = (load_case(plant, split) for split in ("train", "validation"))
     config, tubes = train.config, family.tubes(validation.contexts)
     check_measure(vibration, config)
 

@@ -14,7 +14,7 @@ import pandas as pd
 
 from agents.evaluation.plan import Plan, run_plan
 from agents.evaluation.statistics import paired_difference
-from agents.policies.cases import case_of
+from agents.policies.cases import load_case
 from agents.policies.fixed import FixedPolicy
 from agents.policies.plc_law import Constants, PlcIntegral, PlcProportional, Trim
 from agents.policies.policy import Policy
@@ -92,7 +92,7 @@ def run(request: Request) -> None:
 def search_law(trials: int, generations: int, limit: int, request: Request) -> Constants:
     """The constants of plc-proportional: on the map, then ``generations`` of ``POPULATION`` laws in simulation."""
     vibration, output = stored_map(), request.output
-    whole, case = case_of(None, "train", 0, vibration), case_of(None, "train", limit, vibration)
+    whole, case = load_case(None, "train"), load_case(None, "train", limit)
     config = whole.config.full_observation
     rows: list[dict[str, Any]] = []
     commits, done = [commit()], 0  # of the laws on the map, which are not stored
@@ -130,7 +130,7 @@ def search_law(trials: int, generations: int, limit: int, request: Request) -> C
 
 def search_trim(limit: int, request: Request) -> Trim:
     """The constants of plc-integral: a grid of aims and times, compared with plc-proportional."""
-    case = case_of(None, "train", limit)
+    case = load_case(None, "train", limit)
     config = case.config.full_observation
     trims = {f"trim-{k}": Trim(aim=aim, time=time) for k, (aim, time) in enumerate(product(AIMS, TIMES))}
     policies: dict[str, Policy] = {UNTRIMMED: PlcProportional(config)}

@@ -179,7 +179,7 @@ def resolve_settings(
         raise ValueError("config with a tube must be a mapping of changed fields: a tube has its own task")
     if remaining.get("contexts", "random") == "random":
         remaining["contexts"] = plant.contexts(RANDOM_TUBES)
-    return plant.configured(defaults, config), remaining
+    return plant.configured(defaults, config) if defaults or config else plant.config, remaining
 
 
 def checked_contexts(contexts: Contexts) -> tuple[Context, ...] | Ranges:
