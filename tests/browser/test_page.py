@@ -176,7 +176,7 @@ INVALID = [
     ("inner diameter [m]", "0.018", "probe.carrier_float_diameter = 0.019 m must be less than tube.inner_diameter"),
     ("friction", "0.3 to 0.1", "contact.friction: low = 0.3 must not exceed high = 0.1"),
     ("open a tube file", "nowhere.toml", "no such file: nowhere.toml - shipped tubes: example"),
-    ("save as", "mine.txt", "mine.txt: the name of a tube file must end with .toml"),
+    ("save as", "mine.txt", "mine.txt: a tube file must end with .toml"),
 ]
 
 
