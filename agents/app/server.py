@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import gc
+import secrets
 import socket
 import webbrowser
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any, Final
 
 from bokeh.application import Application
 from bokeh.application.handlers.function import FunctionHandler
 from bokeh.document import Document
-from bokeh.server.auth_provider import NullAuth
 from bokeh.server.server import Server
+from tornado.httputil import HTTPServerRequest
+from tornado.routing import Matcher, Rule
 from tornado.web import HTTPError, RequestHandler
 
 from agents.app.runs import RunQueue
@@ -23,32 +26,91 @@ from agents.records.shipped import file_or_shipped
 from probe_env import Plant
 
 HOSTS: Final = ("localhost", "127.0.0.1")
+LOGIN_URL: Final = "/login"
+MOST_PAGES: Final = 32
+"""Most open pages; a closed one counts for half a minute."""
+REPORT_POLICY: Final = (
+    "sandbox allow-scripts allow-downloads allow-popups; default-src 'none'; img-src data:;"
+    " style-src 'unsafe-inline'; script-src 'unsafe-inline'; frame-ancestors 'self'"
+)
+"""A report can be somebody else's: its scripts run without the origin of the app, and load nothing."""
 
 
-def check_host(handler: RequestHandler) -> str:
-    """Refuse requests to another host name (DNS rebinding); returns the user."""
-    if handler.request.host_name not in HOSTS:
-        raise HTTPError(403)
-    return "local"
+class Gate(Matcher):
+    """Matches the requests to refuse, with status and reason.
+
+    These are requests to another host name (DNS rebinding), by another site, and without the token, which is in the
+    printed address and then in a cookie; and pages beyond ``MOST_PAGES``.
+    """
+
+    def __init__(self, server: Server, cookie: str, token: str) -> None:
+        self.server, self.cookie, self.token = server, cookie, token
+
+    def match(self, request: HTTPServerRequest) -> dict[str, Any] | None:
+        """Arguments of ``Refusal``; None: the request is not refused."""
+        refusal = self._refusal(request)
+        return refusal and {"target_kwargs": dict(zip(("status", "reason"), refusal, strict=True))}
+
+    def _refusal(self, request: HTTPServerRequest) -> tuple[int, str] | None:
+        headers = request.headers
+        if "Origin" in headers:
+            same_site = headers["Origin"] == f"http://{request.host}"
+        else:
+            same_site = headers.get("Sec-Fetch-Site", "none") in ("none", "same-origin")
+        if request.host_name not in HOSTS or not same_site:
+            return 403, "Request by another site: paste the printed address into the browser"
+        cookie = request.cookies.get(self.cookie)
+        token = cookie.value.encode() if cookie else b""
+        if request.path == LOGIN_URL:
+            token = request.query_arguments.get("token", [b""])[0]
+        if not secrets.compare_digest(token, self.token.encode()):
+            return 403, "Open the address that probe-env app has printed"
+        most = MOST_PAGES + (request.path == "/ws")  # the connection of the last page
+        if len(self.server.get_sessions("/")) >= most and not request.path.startswith(("/static/", REPORT_URL)):
+            return 503, "Too many pages are open: close some and wait half a minute"
+        return None
 
 
-class LocalAuth(NullAuth):  # type: ignore[misc]  # bokeh is not typed
-    """Authentication of pages and their connections: requests to this machine only."""
+class Refusal(RequestHandler):
+    """Answer to a refused request."""
 
-    get_user = property(lambda self: check_host)
-    login_url = property(lambda self: "/")  # unused, but required by Bokeh
+    def initialize(self, status: int, reason: str) -> None:
+        """Set the answer."""
+        self.status, self.reason = status, reason
+
+    def prepare(self) -> None:
+        """Refuse, whatever the method."""
+        raise HTTPError(self.status, reason=self.reason)
+
+
+class LoginHandler(RequestHandler):
+    """Sets the cookie of a browser that has opened the printed address."""
+
+    def initialize(self, cookie: str, token: str) -> None:
+        """Set name and value of the cookie."""
+        self.cookie, self.token = cookie, token
+
+    def get(self) -> None:
+        """Set the cookie and redirect to the page."""
+        self.set_cookie(self.cookie, self.token, httponly=True, samesite="Strict")
+        self.redirect("/")
 
 
 class ReportHandler(RequestHandler):
-    """Serves ``report.html`` of evaluation folders only."""
+    """Serves ``report.html`` of evaluation folders that a page has shown."""
+
+    def initialize(self, folders: Collection[Path]) -> None:
+        """Set the folders."""
+        self.folders = folders
 
     def get(self) -> None:
         """Send the report of the folder in the query."""
-        check_host(self)
         folder = Path(self.get_query_argument("folder"))
-        if not (folder / "report.html").is_file() or not (folder / "setting.json").is_file():
+        if folder not in self.folders or not (folder / "report.html").is_file():
             raise HTTPError(404)
         self.set_header("Content-Type", "text/html; charset=utf-8")
+        self.set_header("Content-Security-Policy", REPORT_POLICY)
+        self.set_header("X-Content-Type-Options", "nosniff")
         self.write((folder / "report.html").read_bytes())
 
 
@@ -68,9 +130,10 @@ def serve(tube: Path | None, port: int, output: Path, show: bool) -> None:
         Plant.from_toml(path)
     app = AppState(RunQueue(), output)
     try:
-        server = make_server(app, path, port)
+        token = secrets.token_urlsafe()
+        server = make_server(app, path, port, token)
         server.start()
-        address = f"http://localhost:{server.port}/"
+        address = f"http://localhost:{server.port}{LOGIN_URL}?token={token}"
         print(f"the page is at {address} (Ctrl-C ends it); results are stored in {output}/", flush=True)
         if show:
             webbrowser.open(address)
@@ -79,8 +142,8 @@ def serve(tube: Path | None, port: int, output: Path, show: bool) -> None:
         app.queue.close()
 
 
-def make_server(app: AppState, tube: Path | None, port: int) -> Server:
-    """Make a server, not started; pages load all files from it."""
+def make_server(app: AppState, tube: Path | None, port: int, token: str) -> Server:
+    """Make a server, not started, for requests with the token; pages load all files from it."""
 
     def collect_garbage(session: Any) -> None:  # of closed pages
         gc.unfreeze()
@@ -95,12 +158,15 @@ def make_server(app: AppState, tube: Path | None, port: int) -> Server:
     if port == 0:  # the accepted origins must name it before the server starts
         with socket.create_server((HOSTS[1], 0)) as probe:
             port = int(probe.getsockname()[1])
-    return Server(
+    secret = {"cookie": f"probe-env-{port}", "token": token}  # a browser sends cookies to all ports of a host
+    server = Server(
         {"/": Application(FunctionHandler(open_document))},
         address=HOSTS[1],
         port=port,
         allow_websocket_origin=[f"{host}:{port}" for host in HOSTS],
-        extra_patterns=[(REPORT_URL, ReportHandler)],
-        auth_provider=LocalAuth(),
+        extra_patterns=[(REPORT_URL, ReportHandler, {"folders": app.reports}), (LOGIN_URL, LoginHandler, secret)],
         check_unused_sessions_milliseconds=10_000,
     )
+    # not an auth_provider: Bokeh asks it neither for static files nor for other patterns
+    server._tornado.add_handlers(".*", [Rule(Gate(server, **secret), Refusal)])
+    return server

@@ -22,10 +22,11 @@ from probe_env.schedule import Interpolation, Schedule
 
 @dataclass(frozen=True)
 class AppState:
-    """Shared by all pages: the queue of runs, and the folder of runs, schedules and tubes."""
+    """Shared by all pages: the queue of runs, the folder of runs, schedules and tubes, and the reports to serve."""
 
     queue: RunQueue
     output: Path
+    reports: set[Path] = field(default_factory=set)  # evaluation folders that a page has shown
 
 
 @dataclass

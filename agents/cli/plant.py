@@ -29,7 +29,7 @@ class ReadLog:
     missing: tyro.conf.UseAppendAction[Annotated[tuple[str, ...], tyro.conf.arg(metavar="VALUE")]] = ()
     """Text or number that marks a missing value, in addition to NaN, -999.25, 9999 and the like. Repeatable."""
     output: File = None
-    """Clean file (.csv); default: output/NAME-clean.csv."""
+    """Clean file (.csv), or - to print it and nothing else; default: output/NAME-clean.csv."""
     plot: File = None
     """Figure of all channels over time and length (.png, .pdf or .svg)."""
     sheet: Annotated[str | None, hide_default()] = None
@@ -53,7 +53,7 @@ class ReadLog:
         """Read, write, print."""
         from agents.plant.cleaning import Bounds
         from agents.plant.logs import check_picture, draw_log, print_log, read_log
-        from agents.records.atomic import write_atomically
+        from agents.records.atomic import STANDARD_OUTPUT, write_text
         from agents.records.shipped import file_or_shipped
         from agents.terminal.names import name_of
         from probe_env.files import one_line
@@ -61,7 +61,7 @@ class ReadLog:
         path = file_or_shipped("logs", self.file)
         output = self.output or Path("output") / f"{name_of(path)}-clean.csv"
         bounds = Bounds(self.gap, self.backward, self.start_length, self.tolerance, self.every)
-        if output.suffix != ".csv":
+        if output.suffix != ".csv" and output not in STANDARD_OUTPUT:
             raise ValueError(f"output = {str(output)!r} is not a CSV file (.csv)")
         if self.plot:
             check_picture(self.plot)
@@ -78,10 +78,11 @@ class ReadLog:
             air_supply_rate=air,
             missing=self.missing,
         )
-        write_atomically(output, log.to_csv())
-        print_log(log, path)
+        write_text(output, log.to_csv())
         written = [output, *([draw_log(log, self.plot)] if self.plot else [])]
-        print(one_line(f"written: {', '.join(map(str, written))}"))
+        if output not in STANDARD_OUTPUT:
+            print_log(log, path)
+            print(one_line(f"written: {', '.join(map(str, written))}"))
 
 
 @dataclass(frozen=True)
@@ -185,9 +186,9 @@ class Plc:
     """
 
     st: File = None
-    """File of the law as IEC 61131-3 structured text."""
+    """File of the law as IEC 61131-3 structured text, or - to print it and nothing else."""
     csv: File = None
-    """File of the law as a table over helix diameter, friction and length."""
+    """File of the law as a table over helix diameter, friction and length, or - to print it and nothing else."""
     trimmed: bool = False
     """Add integral action on the noise, as in the policy plc-integral; needs --st."""
     tube: File = None
@@ -198,6 +199,7 @@ class Plc:
         from agents.plant.plc_export import print_law, write_law
         from agents.policies.cases import load_case
         from agents.policies.plc_law import PlantData, read_constants, read_trim
+        from agents.records.atomic import STANDARD_OUTPUT
 
         if self.trimmed and not self.st:
             raise ValueError("trimmed = True needs --st: a table has no memory for the integral action")
@@ -205,14 +207,18 @@ class Plc:
         case = load_case(self.tube, "test")
         trim = read_trim() if self.trimmed else None
         write_law(constants, PlantData.of(case.config), case, self.st, self.csv, trim)
-        print_law(constants, trim)
+        written = [file for file in (self.st, self.csv) if file]
+        if STANDARD_OUTPUT.isdisjoint(written):
+            for file in written:
+                print(f"written: {file}")
+            print_law(constants, trim)
 
 
 @dataclass(frozen=True)
 class App:
     """Open the app in the browser: edit a schedule, run it in your tube, watch and compare.
 
-    The page is served to this machine only.
+    The page is served to this machine only, to browsers in which the printed address was opened.
 
     Example: probe-env app --tube mine.toml
     """

@@ -14,7 +14,7 @@ from agents.policies import plc_law
 from agents.policies.cases import EvaluationCase
 from agents.policies.plc_law import SHORTEST, Constants, PlantData, Trim, law_at
 from agents.policies.policy import Domain, check_domains
-from agents.records.atomic import write_atomically
+from agents.records.atomic import write_text
 from agents.terminal.tables import print_table
 from probe_env.envs.task import TaskConfig
 from probe_env.envs.vibration_map import stored_map
@@ -121,10 +121,8 @@ def write_law(
         )
     check_domains({"the law": Domain.of_map(stored_map())}, case.config, case.contexts, strict=False)
     if st:
-        write_atomically(st, structured_text(constants, plant, trim))
-        print(f"written: {st}")
+        write_text(st, structured_text(constants, plant, trim))
     if csv:
         diameters = sorted({context.helix_diameter for context in case.contexts})
         rows = table(constants, plant, diameters, case.config.scene.tube.helix_length)
-        write_atomically(csv, rows.to_csv(index=False, float_format="%.6g"))
-        print(f"written: {csv}")
+        write_text(csv, rows.to_csv(index=False, float_format="%.6g"))

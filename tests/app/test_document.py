@@ -1,9 +1,6 @@
 """The page without a browser: its screens are built, show a run, and load nothing from other hosts."""
 
-import asyncio
-import gc
 import json
-import weakref
 from collections import deque
 from pathlib import Path
 from types import SimpleNamespace
@@ -14,7 +11,6 @@ from bokeh.document import Document
 
 from agents.app.runs import Frame, Run, RunRequest
 from agents.app.screens.page import PATIENCE, Page
-from agents.app.server import make_server
 from agents.app.state import AppState
 from agents.app.worker import row_of, shape_of
 from agents.design.compare import cells, read_comparison, summarise
@@ -34,15 +30,6 @@ class Idle:
 @pytest.fixture
 def app(tmp_path):
     return AppState(Idle(), tmp_path)
-
-
-@pytest.fixture
-def server(app):
-    asyncio.set_event_loop(asyncio.new_event_loop())  # Python 3.12 and later warn where none was made
-    server = make_server(app, None, 0)
-    yield server
-    server.stop()
-    server.io_loop.close()
 
 
 def test_every_screen_is_built_for_an_own_tube(app):
@@ -93,24 +80,6 @@ def test_an_update_waits_until_the_browser_has_drawn_the_last_one(app, monkeypat
         page.session.run.state = state
         change(changes)
     assert updates == [0, 2, 3, 4, 6]  # begin and end of a run are shown at once
-
-
-def test_the_server_listens_to_this_machine_alone(server):
-    origins = server._tornado.websocket_origins
-    assert origins == {f"localhost:{server.port}", f"127.0.0.1:{server.port}"}
-    assert [sock.getsockname()[0] for sock in server._http._sockets.values()] == ["127.0.0.1"]
-
-
-def test_garbage_collection_skips_open_pages_and_frees_closed_ones(server):
-    document = server._tornado.applications["/"].application.create_document()
-    assert gc.get_freeze_count() > 0
-    page, (closed,) = weakref.ref(document), document.session_destroyed_callbacks
-    del document
-    gc.collect()
-    assert page() is not None  # held by cycles of references
-    closed(None)
-    assert page() is None
-    gc.unfreeze()
 
 
 def test_charts_around_the_tube_are_drawn_less_often_while_the_probe_moves(app, monkeypatch):

@@ -20,7 +20,7 @@ LONG = 120_000
 
 
 class App:
-    """A running app: its address and the folder of its runs."""
+    """A running app: its printed address, the address without its token, and the folder of its runs."""
 
     def __init__(self, output: Path, tube: Path | None) -> None:
         self.output, self.tube = output, tube
@@ -31,7 +31,8 @@ class App:
         command += [] if self.tube is None else ["--tube", str(self.tube)]
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         line = self.process.stdout.readline()
-        self.address = re.search(r"http://localhost:\d+/", line)[0]
+        self.printed = re.search(r"http://localhost:\d+/\S+", line)[0]
+        self.address = self.printed.partition("login")[0]
 
     def kill(self) -> None:
         self.process.send_signal(signal.SIGKILL)
@@ -90,7 +91,7 @@ def opened(browser, app, width=1280):
     page.on("console", lambda message: errors.append(message.text) if message.type == "error" else None)
     if throttle := os.environ.get("PROBE_ENV_THROTTLE"):
         context.new_cdp_session(page).send("Emulation.setCPUThrottlingRate", {"rate": float(throttle)})
-    page.goto(app.address)
+    page.goto(app.printed)
     page.get_by_text("Expected:").wait_for()
     page.wait_for_function("window.probe_env_is_ready")
     yield page

@@ -176,7 +176,7 @@ INVALID = [
     ("inner diameter [m]", "0.018", "probe.carrier_float_diameter = 0.019 m must be less than tube.inner_diameter"),
     ("friction", "0.3 to 0.1", "contact.friction: low = 0.3 must not exceed high = 0.1"),
     ("open a tube file", "nowhere.toml", "no such file: nowhere.toml - shipped tubes: example"),
-    ("save as", "mine.txt", "mine.txt: the name of a tube file must end with .toml"),
+    ("save as", "mine.txt", "mine.txt: a tube file must end with .toml"),
 ]
 
 
@@ -292,3 +292,14 @@ def test_only_reports_are_served_and_only_to_this_host(page, app):
         assert page.request.get(app.address + address).status == 404
     answer = page.request.get(app.address, headers={"Host": f"evil.example:{app.address.split(':')[-1].strip('/')}"})
     assert answer.status == 403
+
+
+def test_the_scripts_of_a_report_do_not_have_the_origin_of_the_app(page, tmp_path):
+    (tmp_path / "report.html").write_text("<p>foreign</p><script>document.title = origin</script>")
+    screen(page, 4)
+    fill(page, "open an evaluation folder", str(tmp_path))
+    page.frame_locator("iframe").get_by_text("foreign").wait_for()
+    with page.context.expect_page() as report:
+        page.get_by_role("link", name="open the report").click()
+    report.value.get_by_text("foreign").wait_for()
+    assert report.value.title() == "null"

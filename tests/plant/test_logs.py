@@ -190,6 +190,8 @@ def test_the_shipped_log_is_shown_and_made_a_schedule(tmp_path, monkeypatch, cap
     ):  # fmt: skip
         assert text in unwrapped
     assert Path("plots/rig.png").read_bytes().startswith(b"\x89PNG")
+    assert main(["log", "example-rig", "--output", "-"]) == 0
+    assert capsys.readouterr().out == Path("output/example-rig-clean.csv").read_text()
     log, schedule = read_log(file_or_shipped("logs", "example-rig")), Schedule.read("output/example-rig-clean.csv")
     (dwell,) = log.dwells
     assert dwell.inserted_length == pytest.approx(30.1, abs=0.1)  # where the operator stopped at 30 m, and the ramp

@@ -213,3 +213,12 @@ def test_a_plant_that_the_law_was_not_made_for_is_told_so(tmp_path):
 def test_a_table_of_the_trimmed_law_is_refused(tmp_path, capsys):
     assert main(["plc", "--trimmed", "--csv", str(tmp_path / "law.csv")]) == 2
     assert "trimmed = True needs --st" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("option", ["--st", "--csv"])
+def test_a_law_is_printed_alone_if_its_file_is_standard_output(tmp_path, capsys, option):
+    assert main(["plc", option, str(tmp_path / "law")]) == 0
+    assert "written: " in capsys.readouterr().out
+    for name in ("-", "/dev/stdout"):
+        assert main(["plc", option, name]) == 0
+        assert capsys.readouterr().out == (tmp_path / "law").read_text()

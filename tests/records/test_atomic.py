@@ -2,8 +2,10 @@
 
 import os
 import platform
+import socket
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -47,3 +49,49 @@ def test_a_folder_is_no_file(tmp_path):
     with pytest.raises(ValueError, match="out is a folder: give the name of a file to write"):
         write_atomically(tmp_path / "out", "text")
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
+
+
+@pytest.mark.skipif(os.name == "nt", reason="files of POSIX")
+def test_what_is_no_regular_file_is_not_replaced(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # the path of a socket must be short
+    controller, terminal = os.openpty()
+    os.mkfifo("pipe")
+    with socket.socket(socket.AF_UNIX) as bound:
+        bound.bind("socket")
+    Path("device").symlink_to(os.ttyname(terminal))
+    Path("loop").symlink_to("loop")
+    before = {path.name: path.lstat() for path in tmp_path.iterdir()}
+    for name in ("pipe", "socket", "device", "loop"):
+        with pytest.raises(ValueError, match=f"^{name} is not a regular file: give the name of a file to write$"):
+            write_atomically(Path(name), "text")
+    assert {path.name: path.lstat() for path in tmp_path.iterdir()} == before
+    os.close(controller)
+    os.close(terminal)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="links need rights there")
+@pytest.mark.parametrize("old", [True, False])
+def test_a_link_stays_and_its_target_is_written(tmp_path, old):
+    (tmp_path / "data").mkdir()
+    target, link = tmp_path / "data" / "a.csv", tmp_path / "link.csv"
+    if old:
+        target.write_text("old")
+    link.symlink_to("data/a.csv")
+    write_atomically(link, "new")
+    assert (os.readlink(link), target.read_text()) == ("data/a.csv", "new")
+    assert sorted(path.name for path in tmp_path.rglob("*")) == ["a.csv", "data", "link.csv"]
+
+
+@pytest.mark.skipif(os.name == "nt", reason="modes of POSIX")
+def test_the_mode_is_that_of_the_old_file_or_follows_the_umask(tmp_path):
+    for name, mode in (("private", 0o600), ("group", 0o664)):
+        (tmp_path / name).touch()
+        (tmp_path / name).chmod(mode)
+    umask = os.umask(0o027)
+    try:
+        for name in ("private", "group", "new"):
+            write_atomically(tmp_path / name, "text")
+    finally:
+        os.umask(umask)
+    modes = {path.name: path.stat().st_mode & 0o777 for path in tmp_path.iterdir()}
+    assert modes == {"private": 0o600, "group": 0o664, "new": 0o640}

@@ -60,6 +60,7 @@ class CompareScreen(ui.Screen):
         stored_at = max((path.stat().st_mtime for path in folder.glob("episodes.*")), default=0.0)
         if not report.exists() or report.stat().st_mtime < stored_at:
             write_report(folder)
+        self.session.app.reports.add(folder)
         link = f"{ui.REPORT_URL}?folder={quote(str(folder))}&written={report.stat().st_mtime_ns}"
         self.content.text = (
             f"<p><a href='{link}' target='_blank'>open the report</a> <code>{escape(str(report))}</code></p>"

@@ -1,0 +1,139 @@
+"""Who is let in by the server, and what it serves: requests to a server of this process."""
+
+import asyncio
+import gc
+import weakref
+from types import SimpleNamespace
+
+import pytest
+from tornado.httpclient import AsyncHTTPClient, HTTPClientError, HTTPRequest
+from tornado.websocket import websocket_connect
+
+from agents.app.screens.page import Page
+from agents.app.server import make_server
+from agents.app.state import AppState
+
+TOKEN = "secret"
+SCRIPT = "/static/js/bokeh.min.js"
+PATHS = ("/", "/report/?folder=.", "/autoload.js?bokeh-autoload-element=1", "/metadata", SCRIPT, "/ws")
+
+
+@pytest.fixture
+def app(tmp_path):
+    return AppState(SimpleNamespace(runs=(), changes=0), tmp_path)  # a queue without a worker
+
+
+@pytest.fixture
+def server(app):
+    asyncio.set_event_loop(asyncio.new_event_loop())  # Python 3.12 and later warn where none was made
+    server = make_server(app, None, 0, TOKEN)
+    yield server
+    server.stop()
+    server.io_loop.close()
+
+
+@pytest.fixture
+def get(server):
+    """A function that returns the answer to a request, by default of a browser that has been let in."""
+    server.start()
+    client = AsyncHTTPClient(force_instance=True)
+
+    def get(path, cookie=f"probe-env-{server.port}={TOKEN}", **headers):
+        url = f"http://127.0.0.1:{server.port}{path}"
+        headers = {"Cookie": cookie, "Host": f"localhost:{server.port}"} | headers
+        options = {"raise_error": False, "follow_redirects": False, "request_timeout": 60.0}
+        return server.io_loop.run_sync(lambda: client.fetch(url, headers=headers, **options))
+
+    yield get
+    client.close()
+
+
+def test_the_server_listens_to_this_machine_alone(server):
+    origins = server._tornado.websocket_origins
+    assert origins == {f"localhost:{server.port}", f"127.0.0.1:{server.port}"}
+    assert [sock.getsockname()[0] for sock in server._http._sockets.values()] == ["127.0.0.1"]
+
+
+def test_garbage_collection_skips_open_pages_and_frees_closed_ones(server):
+    document = server._tornado.applications["/"].application.create_document()
+    assert gc.get_freeze_count() > 0
+    page, (closed,) = weakref.ref(document), document.session_destroyed_callbacks
+    del document
+    gc.collect()
+    assert page() is not None  # held by cycles of references
+    closed(None)
+    assert page() is None
+    gc.unfreeze()
+
+
+def test_requests_without_the_token_are_refused(server, get):
+    """By other users of the machine; a cookie of an app at another port is not for this one."""
+    for path in (*PATHS, f"/?token={TOKEN}", "/login", "/login?token=", "/login?token=wrong", "/login?token=%FF"):
+        for cookie in ("", f"probe-env-{server.port}=wrong", f"probe-env-{server.port + 1}={TOKEN}"):
+            assert get(path, cookie).code == 403
+    assert server.get_sessions("/") == []
+
+
+def test_the_printed_address_sets_a_cookie_that_opens_the_page_and_its_connection(server, get):
+    answer = get(f"/login?token={TOKEN}", cookie="")
+    cookie, *attributes = answer.headers["Set-Cookie"].split("; ")
+    assert (answer.code, answer.headers["Location"]) == (302, "/")
+    assert {"HttpOnly", "SameSite=Strict", "Path=/"} <= set(attributes)
+    assert get("/", cookie).code == 200
+    own = f"http://localhost:{server.port}"
+    for headers, code in (
+        ({"Cookie": cookie, "Origin": own}, 101),
+        ({"Cookie": "", "Origin": own}, 403),
+        ({"Cookie": cookie, "Origin": "null"}, 403),  # a sandboxed report
+        ({"Cookie": cookie, "Origin": "http://localhost:1"}, 403),
+    ):
+        headers["Host"] = f"localhost:{server.port}"
+        assert server.io_loop.run_sync(lambda headers=headers: connect(server, headers)) == code
+
+
+async def connect(server, headers):
+    """Status of the handshake of a websocket."""
+    try:
+        socket = await websocket_connect(HTTPRequest(f"ws://127.0.0.1:{server.port}/ws", headers=headers))
+    except HTTPClientError as error:
+        return error.code
+    socket.close()
+    return 101
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        ("Origin", "http://evil.example"),
+        ("Origin", "null"),
+        ("Origin", "http://localhost:1"),
+        ("Sec-Fetch-Site", "cross-site"),
+        ("Sec-Fetch-Site", "same-site"),  # another port of this machine
+        ("Host", "evil.example"),  # DNS rebinding
+    ],
+)
+def test_other_sites_are_refused_even_with_the_cookie(server, get, header):
+    for path in (*PATHS, f"/login?token={TOKEN}"):
+        assert get(path, **dict([header])).code == 403
+    assert server.get_sessions("/") == []
+
+
+def test_reports_are_served_without_rights_and_only_of_folders_that_a_page_has_shown(app, get, tmp_path):
+    for name in ("opened", "other"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "setting.json").write_text("{}")
+        (tmp_path / name / "report.html").write_text("<script>open('/')</script>")
+    Page(app).compare.open.value = str(tmp_path / "opened")
+    answer = get(f"/report/?folder={tmp_path}/opened")
+    assert (answer.code, answer.body) == (200, b"<script>open('/')</script>")
+    assert answer.headers["X-Content-Type-Options"] == "nosniff"
+    policy = answer.headers["Content-Security-Policy"].split("; ")
+    assert policy[:2] == ["sandbox allow-scripts allow-downloads allow-popups", "default-src 'none'"]
+    for folder in ("other", "opened/../other", "."):
+        assert get(f"/report/?folder={tmp_path}/{folder}").code == 404
+
+
+def test_the_number_of_pages_is_bounded(server, get, monkeypatch):
+    monkeypatch.setattr("agents.app.server.MOST_PAGES", 1)
+    assert [get(path).code for path in ("/", "/", PATHS[2], SCRIPT)] == [200, 503, 503, 200]
+    assert len(server.get_sessions("/")) == 1
