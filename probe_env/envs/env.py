@@ -220,7 +220,7 @@ class InsertionEnv(ProbeEnv):
     * `scene`: base scene without a `tube`; default table 2 of the study. A `Scene`, or a mapping of changed fields such
       as `{"tube": {"inner_diameter": 0.025}}`, which `spec.to_json()` can store.
     * `fidelity`: "standard", "fast", another preset, "auto" or custom settings, see `probe_env.fidelity`. "surrogate"
-      predicts from a vibration map instead of simulating, about 100 times faster, for training; it has no render mode.
+      predicts from a vibration map instead of simulating, tens of times faster, for training; it has no render mode.
     * `surrogate_map`: file of the map, for "surrogate" only. Default: NAME-map.npz next to the file of the `tube`, if
       it exists, else the map of table 2's tubes.
     * `contexts`: "random", a shipped list ("train", "validation", "test"), your own list of `Context`s or mappings, or

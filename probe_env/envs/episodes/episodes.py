@@ -118,7 +118,7 @@ class Episodes:
 
     @property
     def observation(self) -> npt.NDArray[np.float32]:
-        """(N, d) current observation; the last one before it of episodes that diverged."""
+        """(N, d) current observation; of a diverged episode the last one before the divergence."""
         return self.sensors.observation
 
     @property
@@ -243,7 +243,10 @@ class Episodes:
         lapse = self.time_lapse(targets)
         for k in np.flatnonzero(stepped):
             simulator = self.batch.simulators[k]
-            (simulator.feed_length if lapse[k] > 1.0 else simulator.follow_length)()
+            if lapse[k] > 1.0:
+                simulator.feed_length()  # the length grows by time-lapse times what is fed
+            else:
+                simulator.follow_length()  # by what is fed
         seconds, parts = self.config.period / lapse, []
         for duration in np.unique(seconds[stepped]) if stepped.any() else seconds[:1]:
             part = stepped & (seconds == duration)

@@ -199,7 +199,7 @@ class Scorer:
     def _add(
         self, k: int, record: StepRecord, sums: list[float], is_slack: bool, costs: Mapping[str, FloatArray]
     ) -> None:
-        """Add a period to the metrics of a probe; ``sums`` are those of ``count``."""
+        """Add a period to the metrics of a probe; ``sums`` is a row of ``sums_over_length``."""
         metrics, radial = self.metrics[k], record.window.radial_of(k)
         for name, values in costs.items():
             metrics.costs[name] += float(values[k])

@@ -146,7 +146,7 @@ def uninspected_weight(config: TaskConfig) -> float:
     So neither ending early nor crawling to the time limit pays.
     """
     slowest, most_air = config.feed_speeds[0], config.air_supply_rates[1]
-    jerk = config.jerk_weight * 8.0 / slowest / config.period
+    jerk = config.jerk_weight * 8.0 / slowest / config.period  # both actions change by 2, squared
     return config.progress_weight + float(metre_cost(config, config.ratio_cap**2, slowest, most_air)) + jerk
 
 
@@ -166,7 +166,7 @@ def reward_terms(
     Args:
         config: the weights.
         inspected: [m].
-        squares: metres times the ``capped_square`` of their vibration.
+        squares: ``capped_square`` of the vibration, integrated over the inspected length [m].
         seconds: [s].
         air: used [m3].
         uninspected: remaining length [m] if the episode ends, else 0.
