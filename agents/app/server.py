@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import gc
 import secrets
-import socket
 import webbrowser
 from collections.abc import Collection
 from pathlib import Path
@@ -13,8 +12,12 @@ from typing import Any, Final
 from bokeh.application import Application
 from bokeh.application.handlers.function import FunctionHandler
 from bokeh.document import Document
-from bokeh.server.server import Server
+from bokeh.server.server import BaseServer
+from bokeh.server.tornado import BokehTornado
+from bokeh.server.util import bind_sockets
+from tornado.httpserver import HTTPServer
 from tornado.httputil import HTTPServerRequest
+from tornado.ioloop import IOLoop
 from tornado.routing import Matcher, Rule
 from tornado.web import HTTPError, RequestHandler
 
@@ -43,7 +46,7 @@ class Gate(Matcher):
     printed address and then in a cookie; and pages beyond ``MOST_PAGES``.
     """
 
-    def __init__(self, server: Server, cookie: str, token: str) -> None:
+    def __init__(self, server: BaseServer, cookie: str, token: str) -> None:
         self.server, self.cookie, self.token = server, cookie, token
 
     def match(self, request: HTTPServerRequest) -> dict[str, Any] | None:
@@ -142,7 +145,7 @@ def serve(tube: Path | None, port: int, output: Path, show: bool) -> None:
         app.queue.close()
 
 
-def make_server(app: AppState, tube: Path | None, port: int, token: str) -> Server:
+def make_server(app: AppState, tube: Path | None, port: int, token: str) -> BaseServer:
     """Make a server, not started, for requests with the token; pages load all files from it."""
 
     def collect_garbage(session: Any) -> None:  # of closed pages
@@ -155,18 +158,18 @@ def make_server(app: AppState, tube: Path | None, port: int, token: str) -> Serv
         document.on_session_destroyed(collect_garbage)
         gc.freeze()  # a garbage collection of open pages would stop them for 0.3 s
 
-    if port == 0:  # the accepted origins must name it before the server starts
-        with socket.create_server((HOSTS[1], 0)) as probe:
-            port = int(probe.getsockname()[1])
+    sockets, port = bind_sockets(HOSTS[1], port)
     secret = {"cookie": f"probe-env-{port}", "token": token}  # a browser sends cookies to all ports of a host
-    server = Server(
+    pages = BokehTornado(
         {"/": Application(FunctionHandler(open_document))},
-        address=HOSTS[1],
-        port=port,
-        allow_websocket_origin=[f"{host}:{port}" for host in HOSTS],
+        absolute_url=f"http://{HOSTS[0]}:{port}/",
+        extra_websocket_origins=[f"{host}:{port}" for host in HOSTS],
         extra_patterns=[(REPORT_URL, ReportHandler, {"folders": app.reports}), (LOGIN_URL, LoginHandler, secret)],
         check_unused_sessions_milliseconds=10_000,
     )
+    http = HTTPServer(pages)
+    http.add_sockets(sockets)
+    server = BaseServer(IOLoop.current(), pages, http)
     # not an auth_provider: Bokeh asks it neither for static files nor for other patterns
-    server._tornado.add_handlers(".*", [Rule(Gate(server, **secret), Refusal)])
+    pages.add_handlers(".*", [Rule(Gate(server, **secret), Refusal)])
     return server
