@@ -28,10 +28,10 @@ def test_the_python_examples_run(page, example, monkeypatch, tmp_path):
     exec(compile(example, page, "exec"), {"__name__": "example"})
 
 
-def test_the_results_table_of_the_readme_is_the_stored_one(monkeypatch):
+def test_the_figures_of_the_readme_are_the_stored_ones(monkeypatch):
     monkeypatch.chdir(ROOT)
-    table = runpy.run_path(str(ROOT / "docs" / "readme_table.py"))["table"]()
-    assert table in PAGES["README.md"]
+    for script, function in (("readme_table.py", "table"), ("speed.py", "row")):
+        assert runpy.run_path(str(ROOT / "docs" / script))[function]() in PAGES["README.md"]
 
 
 def test_commands_and_methods_are_on_their_pages():
