@@ -10,6 +10,7 @@ import numpy as np
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvObs, VecEnvStepReturn
 
 from probe_env.envs.env import (
+    IncrementalInsertionEnv,
     InsertionEnv,
     InspectionEnv,
     ProbeEnv,
@@ -18,13 +19,17 @@ from probe_env.envs.env import (
     make_episodes,
     spaces_of,
 )
+from probe_env.envs.episodes.decisions import decide
 from probe_env.envs.episodes.starts import DEFAULTS, EpisodeSettings, resolve_settings
 from probe_env.envs.task import TaskConfig
 from probe_env.settings import check_keywords
 
-EnvId = Literal["probe_env/Insertion-v1", "probe_env/Snapshot-v1", "probe_env/Inspection-v0"]
+EnvId = Literal[
+    "probe_env/Insertion-v1", "probe_env/IncrementalInsertion-v1", "probe_env/Snapshot-v1", "probe_env/Inspection-v0"
+]
 ENVIRONMENTS: dict[str, type[ProbeEnv]] = {
     "probe_env/Insertion-v1": InsertionEnv,
+    "probe_env/IncrementalInsertion-v1": IncrementalInsertionEnv,
     "probe_env/Snapshot-v1": SnapshotEnv,
     "probe_env/Inspection-v0": InspectionEnv,
 }
@@ -38,7 +43,7 @@ class ProbeVecEnv(VecEnv):
     the reset is in ``reset_infos``.
 
     Args:
-        env_id: "probe_env/Insertion-v1", "probe_env/Snapshot-v1" or "probe_env/Inspection-v0".
+        env_id: a key of ``ENVIRONMENTS``.
         num_envs: N; environment i equals a single one with the seed ``seed + i``.
         threads: largest number of threads; default: all cores.
         max_episode_steps: steps after which an episode is truncated, as in ``gymnasium.make``; default: only by the
@@ -97,8 +102,8 @@ class ProbeVecEnv(VecEnv):
         self._actions = np.asarray(actions, dtype=np.float32)
 
     def step_wait(self) -> VecEnvStepReturn:
-        """One control period of all environments."""
-        step = self.episodes.step(self._actions)
+        """Apply the actions to all environments."""
+        step = decide(self.episodes, self._actions)
         self._steps += 1
         late = self._steps >= self.max_episode_steps if self.max_episode_steps else np.zeros_like(step.truncated)
         truncated = step.truncated | (late & ~step.terminated)
@@ -110,7 +115,8 @@ class ProbeVecEnv(VecEnv):
             for k in ended:
                 infos[k]["terminal_observation"] = step.observation[k].copy()
             self._steps[ended] = 0
-            observation, started = self.episodes.reset(ended, self._rngs)
+            first, started = self.episodes.reset(ended, self._rngs)
+            observation[ended] = first[ended]
             for k in ended:
                 self.reset_infos[k] = started[k]
         return observation, step.reward.astype(np.float32), done, infos

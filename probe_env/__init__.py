@@ -58,7 +58,7 @@ except PackageNotFoundError:  # sources on the path that nobody has installed
     __version__ = "unknown"
 
 # no max_episode_steps by default: the tasks keep their own time limit
-for _name in ("Insertion-v1", "Snapshot-v1", "Inspection-v0"):
+for _name in ("Insertion-v1", "IncrementalInsertion-v1", "Snapshot-v1", "Inspection-v0"):
     _class = _name.split("-")[0]
     gymnasium.register(
         id=f"probe_env/{_name}",

@@ -27,12 +27,15 @@ from agents.policies.policy import Domain, RangesOfTubes
 from agents.policies.trained import RESTORE, read_weights
 from agents.policies.view import View
 from agents.records.atomic import write_atomically
+from probe_env.arrays import BoolArray
+from probe_env.envs.episodes.decisions import averaged_columns, changed_targets
 from probe_env.envs.task import TaskConfig, action_in
 from probe_env.envs.task.scales import PROBE
 from probe_env.envs.vibration_map import stored_map
 from probe_env.files import FileError
 from probe_env.settings import Model, explain, quantity
 
+Floats = npt.NDArray[np.floating[Any]]
 Algorithm = Literal["ppo", "sac", "recurrent-ppo"]
 ALGORITHMS: Final[dict[Algorithm, tuple[Any, str]]] = {
     "ppo": (PPO, "MlpPolicy"),
@@ -46,6 +49,8 @@ MOST_WEIGHTS: Final = 1 << 24
 LARGEST_WEIGHT: Final = 1e6
 SAME: Final = ("growing", "period")
 """Task fields that must equal those of the training."""
+DECISIONS: Final = ("periods_per_action", "change_per_action")
+"""Task fields of the meaning of an action; the agent converts its actions to one target per control period."""
 PREVIOUS: Final = {"feed_speeds": "previous_feed_action", "air_supply_rates": "previous_air_action"}
 """Ranges that may differ from the training -> observation that is scaled by them."""
 
@@ -118,6 +123,8 @@ class Agent:
             trained, here = getattr(description.task, others[0]), getattr(config, others[0])
             raise ValueError(f"{others[0]} = {here!r} differs from {trained!r}, the range of the agent's guide")
         self._other_ranges = bool(others)
+        timing = {name: getattr(description.task, name) for name in DECISIONS}
+        self._config = config.model_copy(update=timing)  # whose decision period is that of the training
         self.description, self.policy, self.config, self.hash = description, policy, config, hash
         policy.set_training_mode(False)
 
@@ -136,33 +143,65 @@ class Agent:
         episode_start: npt.NDArray[np.bool_] | None = None,
         deterministic: bool = False,
     ) -> tuple[npt.NDArray[np.float32], tuple[Any, ...]]:
-        """Actions of the environment for observations (d,) or (N, d), and the state for the next call."""
+        """Targets of the control period for observations (d,) or (N, d), and the state for the next call."""
         rows = np.atleast_2d(observation)
         if self._other_ranges:  # previous actions in the ranges of the training
             rows, names = rows.copy(), list(self.config.observations)
             for name, column in PREVIOUS.items():
                 here, trained = getattr(self.config, name), getattr(self.description.task, name)
                 rows[:, names.index(column)] = action_in(rows[:, names.index(column)], here, trained)
-        new = np.zeros(len(rows), dtype=bool) if episode_start is None else np.asarray(episode_start, dtype=bool)
-        memory, inner = state if state is not None else (None, None)
-        view = self.description.view
-        features, memory = view.features(self.config, rows, memory, new)
-        start = np.ones(len(rows), dtype=bool) if state is None else new
-        actions, inner = self.policy.predict(features, inner, start, deterministic)
-        applied = view.env_actions(self.description.task, actions, view.guided(features))
-        if not np.isfinite(applied).all():
-            raise ValueError(f"the agent of bundle {self.hash or '(unsaved)'} returned actions that are not finite")
+        if state is None:
+            start = np.ones(len(rows), dtype=bool)
+        else:
+            start = np.zeros(len(rows), dtype=bool) if episode_start is None else np.asarray(episode_start, dtype=bool)
+        act = self._hold if self.description.task.own_actions else self._act
+        applied, state = act(rows, state, start, deterministic)
         if self._other_ranges:
             applied = self.config.actions(*self.description.task.targets(applied).T).astype(np.float32)
         if self._feed_speed_step:  # every small change of the feed would excite vibration in a withdrawal
             feed, air = self.config.targets(applied).T
             feed = self._feed_speed_step * np.round(feed / self._feed_speed_step)
             applied = self.config.actions(feed, air).astype(np.float32)
-        return (applied[0] if np.ndim(observation) == 1 else applied), (memory, inner)
+        return (applied[0] if np.ndim(observation) == 1 else applied), state
+
+    def _act(self, rows: Floats, state: Any, start: BoolArray, deterministic: bool) -> tuple[Floats, tuple[Any, ...]]:
+        """(N, 2) actions of the environment of the training for observations (N, d), and the next state."""
+        memory, inner = state if state is not None else (None, None)
+        view = self.description.view
+        features, memory = view.features(self._config, rows, memory, start)
+        actions, inner = self.policy.predict(features, inner, start, deterministic)
+        applied = view.env_actions(self.description.task, actions, view.guided(features))
+        if not np.isfinite(applied).all():
+            raise ValueError(f"the agent of bundle {self.hash or '(unsaved)'} returned actions that are not finite")
+        return applied, (memory, inner)
+
+    def _hold(self, rows: Floats, state: Any, start: BoolArray, deterministic: bool) -> tuple[Floats, tuple[Any, ...]]:
+        """(N, 2) targets of this control period: an action is applied for some periods, see ``decide``."""
+        names, columns = list(self.config.observations), averaged_columns(self.config)
+        task, first = self.description.task, rows[:, [names.index(name) for name in PREVIOUS.values()]]
+        periods, targets, sums, inner = state or (0, first, 0.0, None)
+        targets = np.where(start[:, None], first, targets).astype(np.float32)
+        periods, sums = np.where(start, 1, periods + 1), np.where(start[:, None], 0.0, sums) + rows[:, columns]
+        due = start | (periods == task.periods_per_action)
+        if due.any():
+            means = rows.copy()
+            means[:, columns] = sums / periods[:, None]
+            actions, new = self._act(means, inner, start, deterministic)
+            targets = np.where(due[:, None], changed_targets(task, targets, actions), targets)
+            inner = new if inner is None else _selected(due, new, inner)
+            periods, sums = np.where(due, 0, periods), np.where(due[:, None], 0.0, sums)
+        return targets, (periods, targets, sums, inner)
 
     def describe(self) -> dict[str, Any]:
         """JSON-ready description; equal for equal agents."""
         return {"policy": "Agent", "algorithm": self.description.algorithm, "bundle": self.hash}
+
+
+def _selected(which: BoolArray, new: Any, old: Any) -> Any:
+    """State of the probes ``which`` (N,) from ``new`` and of the others from ``old``; N is the last axis but one."""
+    if isinstance(new, tuple):
+        return tuple(_selected(which, a, b) for a, b in zip(new, old, strict=True))
+    return new if new is None else np.where(which[:, None], new, old)
 
 
 def write_bundle(path: Path, description: Description, policy: BasePolicy) -> str:

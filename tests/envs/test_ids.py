@@ -9,7 +9,8 @@ from agents.cli.evaluation import Render
 from agents.vec_env import ENVIRONMENTS, EnvId, ProbeVecEnv
 from probe_env.fidelity import PRESETS, ROUND_TRIP_PRESETS
 
-INSPECTION = "probe_env/Inspection-v0"
+INSPECTION, INCREMENTAL = "probe_env/Inspection-v0", "probe_env/IncrementalInsertion-v1"
+NAMES = ("Insertion-v1", "IncrementalInsertion-v1", "Snapshot-v1", "Inspection-v0")
 
 
 def fidelities(env_id, **options):
@@ -20,9 +21,10 @@ def fidelities(env_id, **options):
 
 def test_every_environment_is_in_every_list_of_them():
     ids = {key for key in gym.registry if key.startswith("probe_env/")}
-    assert ids == {f"probe_env/{name}" for name in ("Insertion-v1", "Snapshot-v1", "Design-v1", "Inspection-v0")}
+    assert ids == {f"probe_env/{name}" for name in (*NAMES, "Design-v1")}
     assert set(ENVIRONMENTS) == set(get_args(EnvId)) == ids - {"probe_env/Design-v1"}
-    assert set(get_args(get_type_hints(Render)["env_id"])) == set(ENVIRONMENTS)
+    # policies by name give targets
+    assert set(get_args(get_type_hints(Render)["env_id"])) == ids - {"probe_env/Design-v1", INCREMENTAL}
     for env_id, kind in ENVIRONMENTS.items():
         assert env_id.startswith(f"probe_env/{kind.__name__.removesuffix('Env')}-")
 

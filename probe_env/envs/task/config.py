@@ -53,6 +53,8 @@ class Timing(Model):
 
     period: Annotated[float, quantity(1e-3, 100.0, "s")] = 1.0
     """Control period."""
+    periods_per_action: Annotated[int, Field(ge=1, le=1000)] = 1
+    """Control periods for which the environment applies an action."""
     time_limit: Annotated[float, quantity(1e-3, 1e5, "s")] = 900.0
     """Time after which an episode is truncated."""
     settle_time: Annotated[float, quantity(1e-3, 100.0, "s")] = 2.0
@@ -67,6 +69,8 @@ class Actuators(Model):
     """Slowest and fastest feed: actions of -1 and 1."""
     air_supply_rates: Annotated[tuple[float, float], Range(0.0, 0.2, "m3/s")] = (30.0 / 3600.0, 130.0 / 3600.0)
     """Least and most air: actions of -1 and 1."""
+    change_per_action: Annotated[float, quantity(0.0, 1.0, "")] = 0.0
+    """Change of the targets by an action of 1, as a share of their ranges; 0: the action is the target itself."""
     feed_speed_step: Annotated[float, quantity(0.0, 1.0, "m/s")] = 0.0
     """Resolution of the feed speed: targets are rounded to multiples of it; 0: continuous."""
     air_supply_step: Annotated[float, quantity(0.0, 0.1, "m3/s")] = 0.0
@@ -216,6 +220,16 @@ class TaskConfig(Observation, Disturbances, Limits, Reward, Actuators, Timing, R
         if self.returns and not self.growing:
             raise PydanticCustomError("passes", 'passes = "both" needs growing = true: the length must change')
         return self
+
+    @property
+    def own_actions(self) -> bool:
+        """Whether the environment's actions differ from one target per control period."""
+        return self.periods_per_action > 1 or self.change_per_action > 0.0
+
+    @property
+    def decision_period(self) -> float:
+        """Time between two actions of the environment [s]."""
+        return self.period * self.periods_per_action
 
     @property
     def limit(self) -> float:

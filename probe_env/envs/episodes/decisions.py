@@ -1,0 +1,89 @@
+"""Actions of the environments: targets or changes of them, applied for one or more control periods."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from probe_env.arrays import BoolArray
+from probe_env.envs.episodes.episodes import Episodes, Step
+from probe_env.envs.task import TaskConfig
+
+AVERAGED: Final = ("radial_acceleration", "axial_acceleration", "rf_noise", "root_tension")
+"""Observations that are averaged over the control periods of an action."""
+SUMMED: Final = ("reward_terms", "cost", "cost_terms")
+"""Entries of the info that are summed over the control periods of an action."""
+
+
+def averaged_columns(config: TaskConfig) -> list[int]:
+    """Indices of ``AVERAGED`` among the observations of a task."""
+    return [k for k, name in enumerate(config.observations) if name in AVERAGED]
+
+
+def changed_targets(
+    config: TaskConfig, targets: npt.NDArray[np.floating], actions: npt.NDArray[np.floating]
+) -> npt.NDArray[np.float32]:
+    """(N, 2) targets in [-1, 1] after actions (N, 2) that start from targets (N, 2)."""
+    if config.change_per_action == 0.0:
+        return np.asarray(actions, dtype=np.float32)
+    return np.clip(targets + 2.0 * config.change_per_action * actions, -1.0, 1.0).astype(np.float32)
+
+
+def decide(episodes: Episodes, actions: npt.ArrayLike, active: BoolArray | None = None) -> Step:
+    """Apply an action of the environment to the active probes (default: all), for ``periods_per_action`` periods.
+
+    Rewards and costs are summed and ``AVERAGED`` observations averaged over the periods; an episode that ends takes no
+    further periods.
+
+    Raises:
+        ValueError: an action is not valid; nothing has been advanced.
+        RuntimeError: an active episode has ended and was not reset.
+    """
+    config = episodes.config
+    if not config.own_actions:
+        return episodes.step(actions, active)
+    count = len(episodes)
+    running = np.ones(count, dtype=bool) if active is None else np.array(active, dtype=bool)
+    requested = np.asarray(actions, dtype=np.float32)
+    if requested.shape == (count, 2):  # else ``step`` raises
+        config.targets(np.where(running[:, None], requested, 0.0))
+        requested = changed_targets(config, episodes.actions, np.where(running[:, None], requested, 0.0))
+    total: Step | None = None
+    columns = averaged_columns(config)
+    sums, periods = np.zeros((count, len(columns))), np.zeros((count, 1))
+    for _ in range(config.periods_per_action):
+        if total is not None and not running.any():
+            break
+        step = episodes.step(requested, running)
+        sums[running] += step.observation[np.ix_(running, columns)]
+        periods[running] += 1.0
+        total = step if total is None else _merged(total, step)
+        running = running & ~(step.terminated | step.truncated)
+    assert total is not None
+    stepped = periods[:, 0] > 0.0
+    total.observation[np.ix_(stepped, columns)] = sums[stepped] / periods[stepped]
+    return total
+
+
+def _merged(total: Step, step: Step) -> Step:
+    """Sum of the steps so far and a further one."""
+    infos = [_sum(old, new) if new else old for old, new in zip(total.infos, step.infos, strict=True)]
+    return Step(
+        step.observation,
+        total.reward + step.reward,
+        total.terminated | step.terminated,
+        total.truncated | step.truncated,
+        infos,
+    )
+
+
+def _sum(old: Mapping[str, Any], new: Mapping[str, Any]) -> dict[str, Any]:
+    """The info of a further period with the sums of both."""
+    sums: dict[str, Any] = {}
+    for name in SUMMED:
+        a, b = old[name], new[name]
+        sums[name] = {key: a[key] + b[key] for key in b} if isinstance(b, dict) else a + b
+    return {**new, **sums}

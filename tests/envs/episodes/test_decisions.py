@@ -1,0 +1,112 @@
+"""Actions that change the targets and last for several control periods."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from stable_baselines3 import PPO
+
+import probe_env  # noqa: F401
+from agents.policies.bundle import from_sb3, load_bundle, save_bundle
+from agents.vec_env import ProbeVecEnv
+from probe_env import TaskConfig
+from probe_env.envs.env import IncrementalInsertionEnv
+from probe_env.envs.episodes.decisions import AVERAGED
+
+TUBE = {"friction": 0.2, "helix_diameter": 1.5}
+
+
+def periods_of(actions, fidelity="surrogate"):
+    """Steps of Insertion-v1 with the targets that these changes give, five for each action."""
+    env = gym.make("probe_env/Insertion-v1", fidelity=fidelity)
+    env.reset(seed=3, options=TUBE)
+    target = env.unwrapped.episodes.actions[0].astype(float)
+    for action in actions:
+        target = np.clip(target + 0.25 * np.asarray(action, dtype=np.float32), -1.0, 1.0).astype(np.float32)
+        yield [env.step(target) for _ in range(5)]
+
+
+@pytest.mark.parametrize("fidelity", ["surrogate", "fast"])
+def test_an_action_is_five_periods_of_a_changed_target(fidelity):
+    actions = [(1.0, -1.0), (0.5, 0.0), (1.0, 1.0)]
+    env = gym.make("probe_env/IncrementalInsertion-v1", fidelity=fidelity)
+    env.reset(seed=3, options=TUBE)
+    names = list(TaskConfig().observations)
+    for action, periods in zip(actions, periods_of(actions, fidelity), strict=True):
+        observation, reward, _, _, info = env.step(np.array(action, dtype=np.float32))
+        observations, rewards, _, _, infos = zip(*periods, strict=True)
+        assert reward == pytest.approx(sum(rewards), rel=1e-12)
+        for k, name in enumerate(names):
+            single = np.mean([each[k] for each in observations]) if name in AVERAGED else observations[-1][k]
+            assert observation[k] == pytest.approx(single, rel=1e-6)
+        for name, value in info["reward_terms"].items():
+            assert value == pytest.approx(sum(each["reward_terms"][name] for each in infos), rel=1e-12)
+        assert info["time"] == infos[-1]["time"]
+
+
+def test_targets_end_at_their_ranges_and_actions_outside_are_refused():
+    env = gym.make("probe_env/IncrementalInsertion-v1", fidelity="surrogate")
+    env.reset(seed=3, options=TUBE)
+    for _ in range(9):
+        *_, info = env.step(np.array([1.0, -1.0], dtype=np.float32))
+    assert (info["target_feed_speed"], info["target_air_supply_rate"]) == pytest.approx((0.4, 30.0 / 3600.0))
+    with pytest.raises(ValueError, match=r"action\[0\] = 1.5 is outside the accepted range -1 to 1"):
+        env.unwrapped.step(np.array([1.5, 0.0], dtype=np.float32))
+
+
+def test_an_episode_ends_within_an_action_and_sums_its_rewards():
+    env = gym.make("probe_env/IncrementalInsertion-v1", fidelity="surrogate")
+    env.reset(seed=3, options=TUBE)
+    total, ended = 0.0, False
+    while not ended:
+        _, reward, terminated, truncated, info = env.step(np.array([1.0, 0.5], dtype=np.float32))
+        total, ended = total + reward, terminated or truncated
+    assert terminated
+    assert info["episode_kpis"]["reward"] == pytest.approx(total, rel=1e-9)
+    assert info["time"] % 5.0 != 0.0  # 0.4 m/s, so the end is within an action
+
+
+def test_batches_equal_single_environments():
+    rng = np.random.default_rng(0)
+    batch, sb3 = gym.make_vec("probe_env/IncrementalInsertion-v1", 2, fidelity="surrogate"), ProbeVecEnv(
+        "probe_env/IncrementalInsertion-v1", 2, fidelity="surrogate"
+    )  # fmt: skip
+    single = [gym.make("probe_env/IncrementalInsertion-v1", fidelity="surrogate") for _ in range(2)]
+    sb3.seed(5)
+    first = [env.reset(seed=5 + k)[0] for k, env in enumerate(single)]
+    assert np.array_equal(batch.reset(seed=5)[0], first)
+    assert np.array_equal(sb3.reset(), first)
+    for _ in range(20):
+        actions = rng.uniform(-1.0, 1.0, (2, 2)).astype(np.float32)
+        one = [env.step(action) for env, action in zip(single, actions, strict=True)]
+        for many in (batch.step(actions), sb3.step(actions)):
+            assert np.array_equal(many[0], [each[0] for each in one])
+            assert np.allclose(many[1], [each[1] for each in one], rtol=1e-6)
+
+
+def test_a_trained_agent_acts_in_evaluations_as_in_its_environment(tmp_path):
+    """Bit for bit: the evaluation has a target for each control period, the environment an action for five."""
+    train = ProbeVecEnv("probe_env/IncrementalInsertion-v1", 2, fidelity="surrogate")
+    model = PPO("MlpPolicy", train, n_steps=16, batch_size=16, n_epochs=1, device="cpu", seed=0).learn(32)
+    save_bundle(tmp_path / "a.safetensors", model, train.config)
+    config = TaskConfig()
+    agents = from_sb3(model, train.config), load_bundle(tmp_path / "a.safetensors", config)
+    env, single = (
+        gym.make(f"probe_env/{name}-v1", fidelity="surrogate") for name in ("IncrementalInsertion", "Insertion")
+    )
+    for agent in agents:
+        observation, _ = env.reset(seed=3, options=TUBE)
+        row, _ = single.reset(seed=3, options=TUBE)
+        state = None
+        for _ in range(40):
+            action, _ = model.predict(observation, deterministic=True)
+            observation, reward, *_ = env.step(action)
+            total = 0.0
+            for _ in range(5):
+                target, state = agent.predict(row, state, deterministic=True)
+                row, earned, *_ = single.step(target)
+                total += earned
+            assert total == pytest.approx(reward, rel=1e-12)
+
+
+def test_the_version_differs_in_its_interface_only():
+    assert IncrementalInsertionEnv.defaults == {"periods_per_action": 5, "change_per_action": 0.125}
