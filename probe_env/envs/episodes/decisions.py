@@ -58,13 +58,13 @@ def decide(episodes: Episodes, actions: npt.ArrayLike, active: BoolArray | None 
         if total is not None and not running.any():
             break
         step = episodes.step(requested, running)
-        sums[running] += step.observation[np.ix_(running, columns)]
-        periods[running] += 1.0
+        sums += np.where(running[:, None], step.observation[:, columns], 0.0)
+        periods += running[:, None]
         total = step if total is None else _merged(total, step)
         running = running & ~(step.terminated | step.truncated)
     assert total is not None
-    stepped = periods[:, 0] > 0.0
-    total.observation[np.ix_(stepped, columns)] = sums[stepped] / periods[stepped]
+    means = sums / np.maximum(periods, 1.0)
+    total.observation[:, columns] = np.where(periods > 0.0, means, total.observation[:, columns])
     return total
 
 
