@@ -206,8 +206,7 @@ def _selected(which: BoolArray, new: Any, old: Any) -> Any:
 
 def write_bundle(path: Path, description: Description, policy: BasePolicy) -> str:
     """Write a bundle atomically; returns its hash."""
-    weights = {name: value.detach().cpu().numpy() for name, value in policy.state_dict().items()}
-    text = description.model_dump_json()
+    weights, text = _weights(policy), description.model_dump_json()
     metadata = {"description": text, "hash": _hash(text, weights)}
     write_atomically(path, safetensors.numpy.save(weights, metadata))
     return metadata["hash"]
@@ -258,6 +257,10 @@ def build_policy(description: Description, initialised: bool = True) -> BasePoli
     return policy
 
 
+def _weights(policy: BasePolicy) -> dict[str, npt.NDArray[Any]]:
+    return {name: value.detach().cpu().numpy() for name, value in policy.state_dict().items()}
+
+
 def _hash(text: str, weights: Mapping[str, npt.NDArray[Any]]) -> str:
     digest = hashlib.sha256(text.encode())
     for name in sorted(weights):
@@ -276,7 +279,9 @@ def from_sb3(model: BaseAlgorithm, config: TaskConfig) -> Agent:
     Raises:
         ValueError: another algorithm, or spaces that differ from the task's.
     """
-    return Agent(_described(model, config), model.policy, config.full_observation)
+    description = _described(model, config)
+    digest = _hash(description.model_dump_json(), _weights(model.policy))  # equal agents are simulated once
+    return Agent(description, model.policy, config.full_observation, digest)
 
 
 def save_bundle(path: str | Path, model: BaseAlgorithm, config: TaskConfig) -> str:

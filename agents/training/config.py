@@ -100,6 +100,8 @@ class Training(Model):
     """Law to which the agent's actions are added: "plc-proportional" or its ten constants; see ``View``."""
     learning: dict[str, int | float | bool] = Field(default_factory=dict)
     imitation: Imitation | None = None
+    pretraining_steps: Annotated[int, Field(ge=0)] = 0
+    """Environment steps in the surrogate before the first phase."""
     validation: Validation = Validation()
     phases: Annotated[int, Field(ge=0, le=100_000)] = 8
     phase_steps: Count = 16_384
@@ -125,10 +127,18 @@ class Training(Model):
                 raise PydanticCustomError("limits", "{text}", {"text": text})
         if self.imitation is not None and self.algorithm != "ppo":
             raise PydanticCustomError("imitation", f"imitation needs algorithm = 'ppo' (not {self.algorithm!r})")
+        targets = "guide", "least_air_supply_rate", "imitation"
+        refused = [name for name in targets if getattr(self, name)]
+        if self.task.own_actions and refused:
+            text = f"{refused[0]} needs actions that are targets for one control period: probe_env/Insertion-v1"
+            raise PydanticCustomError("actions", text)
+        if self.pretraining_steps and self.imitation is not None:
+            raise PydanticCustomError("pretraining", "pretraining_steps and [imitation] exclude each other")
         if len(set(self.seeds)) != len(self.seeds) or not self.seeds:
             raise PydanticCustomError("seeds", f"seeds = {list(self.seeds)!r} must be one or more different numbers")
-        if self.phases == 0 and self.imitation is None:
-            raise PydanticCustomError("phases", "phases = 0 without [imitation] means no training")
+        if self.phases == 0 and not self.warm_start:
+            text = "phases = 0 without [imitation] or pretraining_steps means no training"
+            raise PydanticCustomError("phases", text)
         if is_surrogate(self.validation.fidelity):
             raise PydanticCustomError(
                 "fidelity", "validation.fidelity = 'surrogate': agents must be validated by simulation"
@@ -184,6 +194,11 @@ class Training(Model):
         return None if file is None else map_of(Path(file), self.environment.tube)
 
     @property
+    def warm_start(self) -> bool:
+        """Whether phase 0 is an imitation or a training in the surrogate."""
+        return self.imitation is not None or self.pretraining_steps > 0
+
+    @property
     def teacher(self) -> Policy | None:
         """Policy that is imitated; None: none."""
         if self.imitation is None:
@@ -200,6 +215,7 @@ class Training(Model):
             averages=self.averages,
             friction_estimate=self.friction_estimate,
             least_air_supply_rate=self.least_air_supply_rate,
+            logarithmic_feed=self.task.change_per_action == 0.0,
             guide=self.guide,
         )
 

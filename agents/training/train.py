@@ -45,6 +45,7 @@ from agents.terminal.work import Work, announce
 from agents.training.config import Imitation, Training
 from agents.vec_env import ProbeVecEnv
 from probe_env.envs.task import TaskConfig
+from probe_env.fidelity import SURROGATE, Fidelity
 from probe_env.files import MEBI, FileError, one_line, read_bytes
 
 RUN, CHECKPOINT, BEST, CURVE = "run.json", "checkpoint.pt", "agent.safetensors", "learning.csv"
@@ -78,7 +79,7 @@ def train_all(
     """
     origin = made_by(command)
     folders = prepare(training, output, resume, origin)
-    phases = training.phases + (training.imitation is not None)
+    phases = training.phases + training.warm_start
 
     def done() -> int:
         curves = [folder / CURVE for folder in folders.values()]
@@ -190,8 +191,8 @@ def train(
             watch(row)
         imitated = training.imitation.rounds * training.imitation.steps if training.imitation else 0
         done = (imitated if rows else 0) + model.num_timesteps
-        total = imitated + training.phases * training.phase_steps
-        first = 0 if training.imitation else 1
+        total = imitated + training.pretraining_steps + training.phases * training.phase_steps
+        first = 0 if training.warm_start else 1
         with tqdm(total=total, initial=done, desc=f"seed {seed}", unit="step", position=position) as bar:
             for phase in range(first + len(rows), training.phases + 1):
                 begin, kernels = time.perf_counter(), env.batch.kernel_seconds
@@ -252,14 +253,9 @@ class ViewVecEnv(VecEnvWrapper):
 
 def _new_run(training: Training, seed: int, threads: int | None) -> tuple[ViewVecEnv, Plan, BaseAlgorithm]:
     """Environments of the training, the plan of the validation without a policy, and the untrained model."""
-    settings, task = training.environment, training.task.full_observation
-    batch = ProbeVecEnv(
-        settings.env_id, settings.num_envs, task,
-        fidelity=settings.fidelity, contexts=training.trained_in, probes=settings.probes, threads=threads,
-        surrogate_map=training.vibration,
-    )  # fmt: skip
-    plan = Plan({}, training.validated_in, (0,), task, training.validation_fidelity, settings.probes)
-    env = ViewVecEnv(batch, training.view, task, settings.reward_scale)
+    task = training.task.full_observation
+    plan = Plan({}, training.validated_in, (0,), task, training.validation_fidelity, training.environment.probes)
+    env = _environments(training, training.environment.fidelity, threads)
     set_random_seed(seed)
     algorithm, name = ALGORITHMS[training.algorithm]
     interval = training.network.noise_interval
@@ -271,15 +267,26 @@ def _new_run(training: Training, seed: int, threads: int | None) -> tuple[ViewVe
     return env, plan, model
 
 
+def _environments(training: Training, fidelity: str | Fidelity, threads: int | None) -> ViewVecEnv:
+    """Environments of the training at a fidelity, with the features and actions of the agent."""
+    settings, task = training.environment, training.task.full_observation
+    batch = ProbeVecEnv(
+        settings.env_id, settings.num_envs, task, fidelity=fidelity, contexts=training.trained_in,
+        probes=settings.probes, threads=threads, surrogate_map=training.vibration,
+    )  # fmt: skip
+    return ViewVecEnv(batch, training.view, task, settings.reward_scale)
+
+
 def _run_phase(
     training: Training, model: BaseAlgorithm, env: ViewVecEnv, phase: int, folder: Path, report: Callable[[int], Any]
 ) -> None:
     seed = int(np.random.SeedSequence([int(model.seed or 0), phase]).generate_state(1)[0] % 2**31)
     set_random_seed(seed)
+    if phase == 0 and training.pretraining_steps:
+        env = _environments(training, SURROGATE, None)
     env.seed(seed)
     model.set_env(env, force_reset=True)
-    if phase == 0:
-        assert training.imitation is not None
+    if phase == 0 and training.imitation is not None:
         assert training.teacher is not None
         imitate(model, env, training.teacher, training.imitation, report)  # type: ignore[arg-type]
         return
@@ -293,7 +300,8 @@ def _run_phase(
     formats = [make_output_format("csv", str(logs), f"-{phase:04d}")]  # a resumed phase writes its file again
     formats.append(make_output_format("tensorboard", str(logs / "tensorboard")))
     model.set_logger(Logger(str(logs), formats))
-    model.learn(training.phase_steps, advance, reset_num_timesteps=False)
+    steps = training.phase_steps if phase else training.pretraining_steps
+    model.learn(steps, advance, reset_num_timesteps=False)
     model.logger.close()
 
 

@@ -253,7 +253,7 @@ class IncrementalInsertionEnv(InsertionEnv):
     The observations `previous_feed_action` and `previous_air_action` hold the targets, on the scale of `Insertion-v1`.
     """
 
-    defaults: ClassVar[dict[str, Any]] = {"periods_per_action": 5, "change_per_action": 0.125}
+    defaults: ClassVar[dict[str, Any]] = {"periods_per_action": 5, "change_per_action": 0.125, "shaping_weight": 2.0}
 
 
 class SnapshotEnv(ProbeEnv):

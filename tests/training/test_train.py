@@ -48,6 +48,10 @@ GUIDED = {
     **PPO, "guide": "plc-proportional", "network": {"net_arch": (8,), "noise_interval": 4},
     "imitation": {"teacher": "plc-proportional", "rounds": 1, "steps": 32, "epochs": 2},
 }  # fmt: skip
+PRETRAINED = {
+    **PPO, "pretraining_steps": 64,
+    "environment": {"env_id": "probe_env/IncrementalInsertion-v1", "num_envs": 4, "fidelity": COARSE, "task": SHORT},
+}  # fmt: skip
 RECURRENT = {**PPO, "algorithm": "recurrent-ppo"}
 SAC = {**TINY, "algorithm": "sac", "learning": {"learning_starts": 16, "buffer_size": 256, "batch_size": 8}}
 ONE = PPO | {"phases": 1}
@@ -100,7 +104,9 @@ def test_resumed_equals_never_stopped(run, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "settings", [IMITATING, GUIDED, RECURRENT, SAC], ids=["imitating", "guided", "recurrent", "sac"]
+    "settings",
+    [IMITATING, GUIDED, PRETRAINED, RECURRENT, SAC],
+    ids=["imitating", "guided", "pretrained", "recurrent", "sac"],
 )
 def test_every_algorithm_resumes_to_the_same_weights(settings, tmp_path):
     whole = train_all(Training(**settings), tmp_path / "whole", resume=False)
@@ -232,6 +238,8 @@ BROKEN = {
     "[environment.task]\nperiods = 1.0": "periods",
     "algorithm = 'sac'\n[imitation]\nrounds = 1": "imitation needs algorithm = 'ppo'",
     "[imitation]\nteacher = 'nobody'": "teacher",
+    "pretraining_steps = 64\n[imitation]\nrounds = 1": "pretraining_steps and [imitation] exclude each other",
+    "least_air_supply_rate = 0.01\n[environment]\nenv_id = 'probe_env/IncrementalInsertion-v1'": "targets for one",
     "[validation]\nlimit = -1": "validation.limit",
     "seeds = [": "not a TOML file",
 }

@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from probe_env.arrays import BoolArray
+from probe_env.arrays import BoolArray, FloatArray
 from probe_env.envs.episodes.episodes import Episodes, Step
 from probe_env.envs.task import TaskConfig
 
@@ -51,7 +51,7 @@ def decide(episodes: Episodes, actions: npt.ArrayLike, active: BoolArray | None 
     if requested.shape == (count, 2):  # else ``step`` raises
         config.targets(np.where(running[:, None], requested, 0.0))
         requested = changed_targets(config, episodes.actions, np.where(running[:, None], requested, 0.0))
-    total: Step | None = None
+    total, before, is_running = None, episodes.inserted_length, running
     columns = averaged_columns(config)
     sums, periods = np.zeros((count, len(columns))), np.zeros((count, 1))
     for _ in range(config.periods_per_action):
@@ -63,6 +63,10 @@ def decide(episodes: Episodes, actions: npt.ArrayLike, active: BoolArray | None 
         total = step if total is None else _merged(total, step)
         running = running & ~(step.terminated | step.truncated)
     assert total is not None
+    if config.shaping_weight > 0.0:
+        ended = total.terminated | total.truncated
+        metres = np.where(ended, episodes.helix_length, episodes.inserted_length) - before
+        total = _shaped(total, np.where(is_running, config.shaping_weight * metres, 0.0))
     means = sums / np.maximum(periods, 1.0)
     total.observation[:, columns] = np.where(periods > 0.0, means, total.observation[:, columns])
     return total
@@ -78,6 +82,14 @@ def _merged(total: Step, step: Step) -> Step:
         total.truncated | step.truncated,
         infos,
     )
+
+
+def _shaped(step: Step, shaping: FloatArray) -> Step:
+    """The step with a term "shaping" (N,) of the reward."""
+    for info, value in zip(step.infos, shaping.tolist(), strict=True):
+        if info:
+            info["reward_terms"]["shaping"] = value
+    return step._replace(reward=step.reward + shaping)
 
 
 def _sum(old: Mapping[str, Any], new: Mapping[str, Any]) -> dict[str, Any]:

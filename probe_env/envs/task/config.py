@@ -100,6 +100,10 @@ class Reward(Model):
     """Cost per cubic metre of air."""
     jerk_weight: Annotated[float, quantity(0.0, 1e3, "")] = 0.005
     """Cost of the squared change of the action."""
+    shaping_weight: Annotated[float, quantity(0.0, 1e3, "1/m")] = 0.0
+    """Reward per metre inserted, and for every remaining metre at the end: the same sum for every episode of a tube.
+
+    The environment adds it as the term "shaping"; KPIs leave it out."""
     diverged_weight: Annotated[float, quantity(0.0, 1e4, "")] = 10.0
     """Cost of a simulation that diverges."""
 
@@ -219,12 +223,14 @@ class TaskConfig(Observation, Disturbances, Limits, Reward, Actuators, Timing, R
     def _passes_need_a_length_that_changes(self) -> TaskConfig:
         if self.returns and not self.growing:
             raise PydanticCustomError("passes", 'passes = "both" needs growing = true: the length must change')
+        if self.shaping_weight > 0.0 and (self.returns or not self.growing):
+            raise PydanticCustomError("shaping", "shaping_weight > 0 needs growing = true and passes = 'in'")
         return self
 
     @property
     def own_actions(self) -> bool:
-        """Whether the environment's actions differ from one target per control period."""
-        return self.periods_per_action > 1 or self.change_per_action > 0.0
+        """Whether the environment differs from one target per control period and the unshaped reward."""
+        return self.periods_per_action > 1 or self.change_per_action > 0.0 or self.shaping_weight > 0.0
 
     @property
     def decision_period(self) -> float:

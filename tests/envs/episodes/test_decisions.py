@@ -9,7 +9,6 @@ import probe_env  # noqa: F401
 from agents.policies.bundle import from_sb3, load_bundle, save_bundle
 from agents.vec_env import ProbeVecEnv
 from probe_env import TaskConfig
-from probe_env.envs.env import IncrementalInsertionEnv
 from probe_env.envs.episodes.decisions import AVERAGED
 
 TUBE = {"friction": 0.2, "helix_diameter": 1.5}
@@ -29,16 +28,19 @@ def periods_of(actions, fidelity="surrogate"):
 def test_an_action_is_five_periods_of_a_changed_target(fidelity):
     actions = [(1.0, -1.0), (0.5, 0.0), (1.0, 1.0)]
     env = gym.make("probe_env/IncrementalInsertion-v1", fidelity=fidelity)
-    env.reset(seed=3, options=TUBE)
+    before = env.reset(seed=3, options=TUBE)[1]["inserted_length"]
     names = list(TaskConfig().observations)
     for action, periods in zip(actions, periods_of(actions, fidelity), strict=True):
         observation, reward, _, _, info = env.step(np.array(action, dtype=np.float32))
         observations, rewards, _, _, infos = zip(*periods, strict=True)
-        assert reward == pytest.approx(sum(rewards), rel=1e-12)
+        terms, metres = info["reward_terms"], infos[-1]["inserted_length"] - before
+        before = infos[-1]["inserted_length"]
+        assert terms.pop("shaping") == pytest.approx(2.0 * metres, abs=1e-9)
+        assert reward == pytest.approx(sum(rewards) + 2.0 * metres, rel=1e-9)
         for k, name in enumerate(names):
             single = np.mean([each[k] for each in observations]) if name in AVERAGED else observations[-1][k]
             assert observation[k] == pytest.approx(single, rel=1e-6)
-        for name, value in info["reward_terms"].items():
+        for name, value in terms.items():
             assert value == pytest.approx(sum(each["reward_terms"][name] for each in infos), rel=1e-12)
         assert info["time"] == infos[-1]["time"]
 
@@ -53,16 +55,18 @@ def test_targets_end_at_their_ranges_and_actions_outside_are_refused():
         env.unwrapped.step(np.array([1.5, 0.0], dtype=np.float32))
 
 
-def test_an_episode_ends_within_an_action_and_sums_its_rewards():
+@pytest.mark.parametrize("air", [0.5, -1.0])
+def test_every_episode_of_a_tube_is_paid_the_same_shaping(air):
+    """2 per metre from 5 to 60 m, whether the probe arrives or loses its drive."""
     env = gym.make("probe_env/IncrementalInsertion-v1", fidelity="surrogate")
     env.reset(seed=3, options=TUBE)
     total, ended = 0.0, False
     while not ended:
-        _, reward, terminated, truncated, info = env.step(np.array([1.0, 0.5], dtype=np.float32))
+        _, reward, terminated, truncated, info = env.step(np.array([1.0, air], dtype=np.float32))
         total, ended = total + reward, terminated or truncated
-    assert terminated
-    assert info["episode_kpis"]["reward"] == pytest.approx(total, rel=1e-9)
-    assert info["time"] % 5.0 != 0.0  # 0.4 m/s, so the end is within an action
+    assert info["lost_drive"] == (air < 0.0)
+    assert total == pytest.approx(info["episode_kpis"]["reward"] + 110.0, rel=1e-9)
+    assert info["time"] % 5.0 != 0.0  # it ended within an action
 
 
 def test_batches_equal_single_environments():
@@ -99,8 +103,8 @@ def test_a_trained_agent_acts_in_evaluations_as_in_its_environment(tmp_path):
         state = None
         for _ in range(40):
             action, _ = model.predict(observation, deterministic=True)
-            observation, reward, *_ = env.step(action)
-            total = 0.0
+            observation, reward, *_, info = env.step(action)
+            total = info["reward_terms"]["shaping"]
             for _ in range(5):
                 target, state = agent.predict(row, state, deterministic=True)
                 row, earned, *_ = single.step(target)
@@ -108,5 +112,9 @@ def test_a_trained_agent_acts_in_evaluations_as_in_its_environment(tmp_path):
             assert total == pytest.approx(reward, rel=1e-12)
 
 
-def test_the_version_differs_in_its_interface_only():
-    assert IncrementalInsertionEnv.defaults == {"periods_per_action": 5, "change_per_action": 0.125}
+def test_models_with_other_weights_are_other_policies():
+    train = ProbeVecEnv("probe_env/IncrementalInsertion-v1", 1, fidelity="surrogate")
+    models = [PPO("MlpPolicy", train, device="cpu", seed=seed) for seed in (0, 1, 0)]
+    first, second, again = (from_sb3(model, train.config).describe() for model in models)
+    assert first != second
+    assert first == again
