@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from agents.cli import main
 from agents.plant.cleaning import Bounds
 from agents.plant.logs import read_log
-from agents.plant.quantities import QUANTITIES, quantity_of, si_factor, split_head
 from agents.policies.catalogue import make_policy
+from agents.records.quantities import QUANTITIES, quantity_of, si_factor, split_head
 from agents.records.shipped import file_or_shipped, shipped_names
 from probe_env import TaskConfig
 from probe_env.schedule import Schedule

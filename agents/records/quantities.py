@@ -33,8 +33,8 @@ class Quantity(NamedTuple):
 
 _LENGTH, _FEED, _AIR = POSITIONS["inserted_length_m"][1], RANGES[FEED][1], RANGES[AIR][1] / HOUR
 _TIME_HEADS: Final = (
-    "t, timestamp, time stamp, datetime, date time, elapsed time, zeit, zeitstempel, uhrzeit, zeitpunkt, datum uhrzeit,"
-    " messzeit, x value, time time"
+    "t, timestamp, time stamp, datetime, date time, date&time, elapsed time, zeit, zeitstempel, uhrzeit, zeitpunkt,"
+    " datum uhrzeit, messzeit, x value, time time"
 )
 _LENGTH_HEADS: Final = (
     "insertion length, length, position, encoder, encoder position, länge, laenge, weg, weggeber, drehgeber,"
@@ -59,27 +59,39 @@ _ALL = (
     Quantity("radial_acceleration_rms", "m/s2", "m/s**2", 0.0, 1e6, _RADIAL_HEADS, rms=True),
     Quantity("axial_acceleration_rms", "m/s2", "m/s**2", 0.0, 1e6, _RADIAL_HEADS.replace("radial", "axial"), rms=True),
     Quantity("rf_noise_rms", "m", "m", 0.0, 1.0, _NOISE_HEADS, rms=True),
+    Quantity("return_feed_speed", "m/s", "m/s", 0.0, _FEED, "return feed, return speed"),
+    Quantity("return_air_supply", "m3/h", "m**3/s", 0.0, _AIR, "return air, return air flow", scale=1.0 / HOUR),
 )
 QUANTITIES: Final[Mapping[str, Quantity]] = {quantity.name: quantity for quantity in _ALL}
-MEASURED: Final = tuple(QUANTITIES)[4:]
+MEASURED: Final = tuple(QUANTITIES)[4:-2]
 """Quantities that a log may lack."""
+RETURN: Final = tuple(QUANTITIES)[-2:]
+"""Quantities of withdrawal in a schedule."""
 DATE: Final = "date"
 """Date of a clock time in another column."""
+FRACTION: Final = "fraction"
+"""Fraction of a second of a time in another column."""
+FRACTION_UNITS: Final = dict.fromkeys(("ms", "msec", "millisecond", "milliseconds", "millisekunden"), "ms") | {
+    "fraction": "s", "time fraction": "s", "fractional seconds": "s"
+}  # fmt: skip
+"""Heading -> unit."""
 IGNORED: Final = "none"
 """Columns that are left out."""
-NAMES: Final = (*QUANTITIES, DATE, IGNORED)
+NAMES: Final = (*(name for name in QUANTITIES if name not in RETURN), DATE, FRACTION, IGNORED)
 """Names accepted by ``--columns``."""
-_HEADS: Final = {DATE: "day, datum, tag, messdatum"} | {name: q.heads for name, q in QUANTITIES.items()}
+_HEADS: Final = {DATE: "day, datum, tag, messdatum", FRACTION: ", ".join(FRACTION_UNITS)} | {
+    name: q.heads for name, q in QUANTITIES.items()
+}
 _BY_HEAD: Final = {
     head: name for name, heads in _HEADS.items() for head in (name.replace("_", " "), *heads.split(", "))
 }
 
 _UNIT: Final = re.compile(r"\s*(?:\[([^\[\]]*)\]|\(([^()]*)\)|\bin\s+([^\s\[\]()]+))\s*$")
 """At the end of a head: [mm/s], (m3/h), in mm/s."""
-_TOKEN: Final = "(?:ms|min|mm|cm|um|µm|m3|ft|kn|[smhnlg])"
+_TOKEN: Final = "(?:ms|sec|min|mm|cm|um|µm|n?m3|ft|in|kn|lbf|s?cfm|s?lpm|fpm|[smhnlg])"
 _SUFFIX: Final = re.compile(rf"(.+?)_({_TOKEN}(?:_per_{_TOKEN}2?)?)$")
-_BEHIND: Final = re.compile(rf"(.+)\s(/\s*)?({_TOKEN}(?:/{_TOKEN}[2²]?)?|m³(?:/{_TOKEN})?)", re.IGNORECASE)
-"""A unit behind a space: "Feed Speed m/s", "Weg / mm"."""
+_BEHIND: Final = re.compile(rf"(.+?),?(?:\s+|\s*/\s*)({_TOKEN}(?:/{_TOKEN}[2²]?)?|n?m³(?:/{_TOKEN})?)", re.IGNORECASE)
+"""A unit behind a space or slash: "Feed Speed m/s", "Weg / mm", "Tension, N"."""
 _CAPITALS: Final = {"n": "N", "kn": "kN"}
 
 _CLOCK_FORM: Final = re.compile(r"[ymdhstj]+(?:[:./ -]+[ymdhstjf0]+)+", re.IGNORECASE)
@@ -92,7 +104,9 @@ _SHAPE: Final = re.compile(r"[A-Za-zµ_]+(?:\*\*-?[1-3])?(?:[*/ ][A-Za-zµ_]+(?:
 """Units that are passed to pint, which would also compute powers of large numbers."""
 _WORDS: Final = {
     "sek": "s", "sec": "s", "sekunden": "s", "minuten": "min", "std": "h", "stunden": "h", "tage": "d",
-    "scfm": "ft**3/min", "cfm": "ft**3/min", "slpm": "l/min", "lpm": "l/min", "fpm": "ft/min", "kn": "kN", "dan": "daN",
+    "msec": "ms", "hrs": "h", "m3/hr": "m**3/h",
+    "scfm": "ft**3/min", "cfm": "ft**3/min", "scfh": "ft**3/h", "slpm": "l/min", "lpm": "l/min", "slm": "l/min",
+    "fpm": "ft/min", "fps": "ft/s", "ipm": "inch/min", "ips": "inch/s", "kn": "kN", "dan": "daN",
 }  # fmt: skip
 _OF_DIMENSION: Final = {
     "m/s**2": (r"^(m?)(?:g|G|gn|g_n)$", lambda match: f"{'milli' * bool(match[1])}standard_gravity"),
@@ -110,13 +124,13 @@ def split_head(head: str) -> tuple[str, str]:
         unit = suffix[2].replace("_per_", "/")
         return head.strip()[: suffix.end(1)], _CAPITALS.get(unit, unit)
     if (behind := _BEHIND.fullmatch(head.strip())) and plain(behind[1]) in _BY_HEAD:
-        return behind[1].strip(), behind[3]
+        return behind[1].strip(), behind[2]
     return head.strip(), ""
 
 
 def plain(words: str) -> str:
     """Words of a heading for comparison: lower case, single spaces."""
-    return re.sub(r"[\s_.\-:/]+", " ", words).strip().casefold()
+    return re.sub(r"[\s_.,\-:/]+", " ", words).strip().casefold()
 
 
 def quantity_of(head: str) -> str | None:
@@ -199,4 +213,4 @@ def looks_like_unit(cell: str) -> bool:
     text = cell.strip("[]() ").translate(_SUPERSCRIPTS)
     if _CLOCK_FORM.fullmatch(text):
         return True
-    return not text.isdigit() and re.fullmatch(rf"[A-Za-zµ°%/*^ \d-]{{0,{LONGEST_UNIT}}}", text) is not None
+    return not text.isdigit() and re.fullmatch(rf"[A-Za-zµ°%/*^ \d-]{{0,{LONGEST_UNIT}}}\.?", text) is not None
