@@ -136,7 +136,9 @@ def plain(words: str) -> str:
 def quantity_of(head: str) -> str | None:
     """Quantity (or ``DATE``) of a heading; None if it is unknown."""
     words = plain(split_head(head)[0])
-    return _BY_HEAD.get(words) or _BY_HEAD.get(re.sub(r" (?:rms|eff|effektiv)$", "", words))
+    if mean := _BY_HEAD.get(re.sub(r" (?:avg|mean|smp)$", "", words)):
+        return mean if mean not in QUANTITIES or not QUANTITIES[mean].rms or words in _BY_HEAD else None
+    return _BY_HEAD.get(re.sub(r" (?:rms|eff|effektiv)$", "", words))
 
 
 class ColumnOption(NamedTuple):

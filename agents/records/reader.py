@@ -16,13 +16,14 @@ import zipfile
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from datetime import datetime, time
+from datetime import datetime, time, timedelta
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 from xml.etree import ElementTree
 
 import numpy as np
 import numpy.typing as npt
+import pandas as pd
 import pyarrow as pa
 import pyarrow.compute as pc
 
@@ -533,12 +534,17 @@ def _check_rows(path: Path, name: str, archive: zipfile.ZipFile) -> None:
                 raise FileError(path, f"{name} has a row of more than {MOST_PART} bytes: export the sheet as CSV")
 
 
+def _sheet_text(value: Any) -> str:
+    if isinstance(value, datetime | time):
+        return value.isoformat()
+    return "" if value is None else str(pd.Timedelta(value) if isinstance(value, timedelta) else value)
+
+
 def _joined(path: Path, rows: Iterable[Sequence[Any]]) -> list[str]:
     lines: list[str] = []
     size = empty = 0
     for number, row in enumerate(rows, start=1):
-        values = ("" if v is None else v.isoformat() if isinstance(v, datetime | time) else str(v) for v in row)
-        cells = [re.sub(r"[\x00-\x1f\x7f-\x9f]", " ", text).replace("\u2212", "-") for text in values]
+        cells = [re.sub(r"[\x00-\x1f\x7f-\x9f]", " ", _sheet_text(v)).replace("\u2212", "-") for v in row]
         while cells and not cells[-1].strip():
             cells.pop()
         empty += not cells
@@ -572,7 +578,9 @@ def _table_of(path: Path, lines: list[str], options: Sequence[ColumnOption], wor
     ]
     best = max(candidates, key=lambda candidate: _named(candidate[2], options), default=None)
     if best is None or _named(best[2], options) < 2:
-        number, found = next(((k, cells) for k, _, cells in candidates if len(cells) > text), (1, list[str]()))
+        several = [(k, cells) for k, separator, cells in candidates if len(cells) > text and separator != " "]
+        several = several or [(k, cells) for k, _, cells in candidates if len(cells) > text][:1] or [(1, [])]
+        number, found = max(several, key=lambda row: sum(map(bool, row[1])))
         problem = f"no header with two known quantities; found: {_listed(found) or 'none'} - declare them"
         names = f"--columns 'HEAD=QUANTITY', with QUANTITY one of {', '.join(NAMES)}"
         raise FileError(path, f"{word} {number}: {problem}: {names}")
@@ -712,8 +720,14 @@ def _indices(table: Table, options: Sequence[ColumnOption]) -> tuple[dict[str, i
         if k in {*by_option.values(), *ignored} or quantity is None or quantity in by_option:
             continue
         if quantity in indices:
-            both = f"columns {table.heads[indices[quantity]]!r} and {head!r} are both {quantity}"
-            raise FileError(table.path, f"{both}: choose one, --columns 'HEAD={quantity}'")
+            first = indices[quantity]
+            if table.columns[k].equals(table.columns[first]):
+                continue
+            hint = (
+                f"choose one, --columns 'HEAD={quantity}'" if head != table.heads[first] else "rename one in the file"
+            )
+            both = f"columns {table.heads[first]!r} and {head!r} are both {quantity}"
+            raise FileError(table.path, f"{both}: {hint}")
         indices[quantity] = k
     return indices, {option.quantity: option.unit for option in options if option.unit}
 

@@ -149,6 +149,13 @@ FOREIGN = {
     "LabVIEW": lines(
         "\t", ",", "Y_Unit_Label;m;m/s;m3/h\n***End_of_Header***;;;;\nX_Value;Length;Feed;Air;Comment"
     ),
+    "a time beside each channel": lines(
+        head="X_Value;length [m];X_Value;feed [m/s];X_Value;air [m3/h]", row="{t};{x};{t};{v};{t};{a}"
+    ),
+    "TOA5": '"TOA5","rig","CR1000"\n' + lines(
+        ",", head='TIMESTAMP;RECORD;Length_Avg;Feed_Avg;Air_Avg\n"TS";"RN";"meters";"m/s";"m^3/h"\n"";"";"Avg";"Avg";"Avg"',
+        row='"{c}";{t};{x};{v};{a}', c="%Y-%m-%d %H:%M:%S",
+    ),
     "rows of separators": lines().replace("\n1", "\n;;;\n1") + "\n;;;\n",
     "units behind a space": lines(
         ",", head="Time s;Inserted Length mm;Feed Speed mm/s;Air Flow m³/h", row=LONG
@@ -170,6 +177,9 @@ FOREIGN = {
     "a sheet with clock and text": sheet(SHEET_HEAD, *([MIDNIGHT[t], f"{x:.2f}", 63] for t, x in ROWS)),
     "a sheet with a date and a clock": sheet(
         ["Datum", *SHEET_HEAD], *([datetime(2024, 5, 31 - (t < 3)), MIDNIGHT[t], x, 63] for t, x in ROWS)
+    ),
+    "a sheet with elapsed times": sheet(
+        SHEET_HEAD, *([timedelta(seconds=86_398 + t), x, 63] for t, x in ROWS)
     ),
     "a sheet with dates": sheet(
         SHEET_HEAD, *([datetime(2024, 1, 1) + timedelta(seconds=t), x, 63] for t, x in ROWS)
@@ -283,6 +293,7 @@ BROKEN = [
         lines(row="{t};{mm};{v};{a}"),
         "line 2, column 'length [m]': inserted_length = 5000 m is outside the accepted range 0 to 1000 m",
     ),
+    ("Rig;3\nDate;5/4/2025;;;;\n" + lines(head=OTHER), "line 3: no header with two known quantities; found: 'Kanal 1'"),
     (HEAD + ";x" * 300 + "\n1;2;3;4", "line 1: 304 columns are more than 256"),
     (b"\xd0\xcf\x11\xe0" + bytes(2000), "a workbook of Excel before 2007: save it as .xlsx"),
     (b"PK\x03\x04" + bytes(2000), "not an Excel workbook that can be read"),
