@@ -105,12 +105,14 @@ _SHAPE: Final = re.compile(r"[A-Za-zµ_]+(?:\*\*-?[1-3])?(?:[*/ ][A-Za-zµ_]+(?:
 _WORDS: Final = {
     "sek": "s", "sec": "s", "sekunden": "s", "minuten": "min", "std": "h", "stunden": "h", "tage": "d",
     "msec": "ms", "hrs": "h", "m3/hr": "m**3/h",
-    "scfm": "ft**3/min", "cfm": "ft**3/min", "scfh": "ft**3/h", "slpm": "l/min", "lpm": "l/min", "slm": "l/min",
-    "fpm": "ft/min", "fps": "ft/s", "ipm": "inch/min", "ips": "inch/s", "kn": "kN", "dan": "daN",
+    "scfm": "ft**3/min", "cfm": "ft**3/min", "acfm": "ft**3/min", "scfh": "ft**3/h",
+    "slpm": "l/min", "lpm": "l/min", "nlpm": "l/min", "slm": "l/min",
+    "fpm": "ft/min", "fps": "ft/s", "ipm": "inch/min", "ips": "inch/s", "cmh": "m**3/h",
+    "kn": "kN", "dan": "daN", "kp": "kgf",
 }  # fmt: skip
 _OF_DIMENSION: Final = {
     "m/s**2": (r"^(m?)(?:g|G|gn|g_n)$", lambda match: f"{'milli' * bool(match[1])}standard_gravity"),
-    "m**3/s": (r"^[Nn](?=(?:m\*\*3|[lL])(?:/|$))", lambda _: ""),  # normal cubic metres and litres
+    "m**3/s": (r"^[NnSs](?=(?:[mM]\*\*3|[lL])(?:/|$))", lambda _: ""),  # normal or standard
 }
 """SI unit -> pattern of a unit that pint misreads, and its replacement."""
 
@@ -177,7 +179,7 @@ class UnknownUnitError(ValueError):
 
 
 def si_factor(unit: str, quantity: Quantity) -> float:
-    """Factor from ``unit`` to the SI unit of a quantity, by pint. Capitals may stand for small letters: M/MIN.
+    """Factor from ``unit`` to the SI unit of a quantity, by pint. Capitals may stand for small letters: M/MIN, Seconds.
 
     Raises:
         UnknownUnitError: an unknown unit.
@@ -186,9 +188,9 @@ def si_factor(unit: str, quantity: Quantity) -> float:
     """
     if unit == quantity.unit:
         return quantity.scale
-    text = re.sub(r"\s+(?:rms|eff\.?)$", "", unit.strip(), flags=re.IGNORECASE).translate(_SUPERSCRIPTS)
+    text = re.sub(r"\s+(?:rms|eff\.?)$", "", unit.strip().rstrip("."), flags=re.IGNORECASE).translate(_SUPERSCRIPTS)
     text = _POWER.sub(r"**\1", re.sub(r"\s*([/*])\s*", r"\1", text))
-    text = _WORDS.get(text.rstrip(".").lower(), text)
+    text = _WORDS.get(text.lower(), text)
     if quantity.si in _OF_DIMENSION:
         text = re.sub(*_OF_DIMENSION[quantity.si], text)
     scale = f"convert the column to {quantity.unit} in the file, or leave it out, --columns 'HEAD={IGNORED}'"
@@ -200,7 +202,8 @@ def si_factor(unit: str, quantity: Quantity) -> float:
     import pint
 
     problems: list[Exception] = []
-    for spelling in dict.fromkeys((text, text.lower() if text.isupper() else text)):
+    any_case = text.isupper() or (text.istitle() and len(text) > 3)
+    for spelling in dict.fromkeys((text, text.lower() if any_case else text)):
         try:
             return float(pint.Quantity(1.0, pint.Unit(spelling)).to(quantity.si).magnitude)
         except (pint.PintError, ValueError, TypeError, ArithmeticError, AttributeError) as error:

@@ -110,8 +110,8 @@ _LARGE: Final = re.compile(rf"{_SHEETS}[^/]+$|{_STRINGS}$|xl/media/")
 _LARGE_KIND: Final = re.compile(r"\.(?:worksheet|sharedStrings)\+xml$|^image/")
 """Names and content types of parts that are not parsed as a whole."""
 _LONGEST_TAG: Final = 64
-_ROW: Final = re.compile(rb"<(?:!|(?:\w{1,32}:)?row\b)")
-"""Begin of a row, or of a comment, in which rows do not count."""
+_ROW: Final = re.compile(rb"<(?:!|(?:\w{1,32}:)?(?:row|si)\b)")
+"""Begin of a row or shared text, or of a comment, in which they do not count."""
 MOST_TEXT: Final = 256 * MEBI
 MOST_EMPTY: Final = 10_000
 """Limit of empty rows; a small file can hold millions."""
@@ -486,7 +486,7 @@ def _sheet_lines(path: Path, content: bytes, sheet: str | None) -> list[str]:
             if not hasattr(page, "reset_dimensions"):
                 raise FileError(path, f"{page.title!r} is a chart, not a sheet: --sheet names another")
             page.reset_dimensions()  # a sheet may declare any size
-            return _joined(path, page.iter_rows(max_col=MOST_COLUMNS + 1, values_only=True))
+            return _joined(path, page.iter_rows(values_only=True))
     except FileError:
         raise
     except Exception as error:  # a damaged workbook can raise any error
@@ -512,12 +512,12 @@ def _check_parts(path: Path, archive: zipfile.ZipFile) -> None:
         if _LARGE.match(name) and not _LARGE_KIND.search(kind):  # would be parsed as a whole
             raise FileError(path, f"not an Excel workbook that can be read: {name[:80]!r} is {kind[:80]!r}")
     for part in parts:
-        if part.filename.startswith(_SHEETS):
+        if part.filename.startswith(_SHEETS) or part.filename == _STRINGS:
             _check_rows(path, part.filename, archive)
 
 
 def _check_rows(path: Path, name: str, archive: zipfile.ZipFile) -> None:
-    """Raise FileError for a sheet with more rows than sheets have, or with a row of more than ``MOST_PART`` bytes."""
+    """Raise FileError for more rows, or shared texts, than sheets have rows, or for one of over ``MOST_PART`` bytes."""
     rows = offset = last = 0
     text = b""
     with archive.open(name) as file:
@@ -527,7 +527,7 @@ def _check_rows(path: Path, name: str, archive: zipfile.ZipFile) -> None:
             starts = [last, *(offset + m.start() for m in found), offset + len(text)]
             rows, last = rows + len(found), starts[-2]
             if rows > MOST_SHEET_ROWS:
-                raise FileError(path, f"{name} has more than the {MOST_SHEET_ROWS} rows that a sheet may have: cut it")
+                raise FileError(path, f"{name} has more than {MOST_SHEET_ROWS} rows or texts: cut it")
             if any(m[0] == b"<!" for m in found):
                 raise FileError(path, f"not an Excel workbook that can be read: {name} has comments: save it again")
             if np.diff(starts).max() > MOST_PART:

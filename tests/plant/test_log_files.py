@@ -536,7 +536,7 @@ def test_sizes_and_pipes(tmp_path, monkeypatch):
     many = b"<row></row>" * 10
     for row in (many, many.replace(b"row", b"x:row")):
         path.write_bytes(with_part(b"</sheetData>", row + b"</sheetData>"))
-        with pytest.raises(FileError, match=r"sheet2\.xml has more than the 3 rows that a sheet may have"):
+        with pytest.raises(FileError, match=r"sheet2\.xml has more than 3 rows or texts"):
             read_log(path, sheet="Messung")
     monkeypatch.setattr("agents.records.reader.MOST_BYTES", 100)
     with pytest.raises(FileError, match="bytes are more than the 100"):
