@@ -104,7 +104,7 @@ _SHAPE: Final = re.compile(r"[A-Za-zµ_]+(?:\*\*-?[1-3])?(?:[*/ ][A-Za-zµ_]+(?:
 """Units that are passed to pint, which would also compute powers of large numbers."""
 _WORDS: Final = {
     "sek": "s", "sec": "s", "sekunden": "s", "minuten": "min", "std": "h", "stunden": "h", "tage": "d",
-    "msec": "ms", "hrs": "h", "m3/hr": "m**3/h",
+    "msec": "ms", "hrs": "h",
     "scfm": "ft**3/min", "cfm": "ft**3/min", "acfm": "ft**3/min", "scfh": "ft**3/h",
     "slpm": "l/min", "lpm": "l/min", "nlpm": "l/min", "slm": "l/min",
     "fpm": "ft/min", "fps": "ft/s", "ipm": "inch/min", "ips": "inch/s", "cmh": "m**3/h",

@@ -153,7 +153,7 @@ FOREIGN = {
         head="X_Value;length [m];X_Value;feed [m/s];X_Value;air [m3/h]", row="{t};{x};{t};{v};{t};{a}"
     ),
     "TOA5": '"TOA5","rig","CR1000"\n' + lines(
-        ",", head='TIMESTAMP;RECORD;Length_Avg;Feed_Avg;Air_Avg\n"TS";"RN";"meters";"m/s";"m^3/h"\n"";"";"Avg";"Avg";"Avg"',
+        ",", head='TIMESTAMP;RECORD;Length_Avg;Feed_Avg;Air_Avg\n"TS";"RN";"m";"m/s";"m^3/h"\n"";"";"Avg";"Avg";"Avg"',
         row='"{c}";{t};{x};{v};{a}', c="%Y-%m-%d %H:%M:%S",
     ),
     "rows of separators": lines().replace("\n1", "\n;;;\n1") + "\n;;;\n",
@@ -532,7 +532,7 @@ def test_sizes_and_pipes(tmp_path, monkeypatch):
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(FileError, match="a pipe or a device"):
         read_log(tmp_path / "pipe")
-    monkeypatch.setattr("agents.records.reader.MOST_SHEET_ROWS", 3)
+    monkeypatch.setattr("agents.records.workbook.MOST_SHEET_ROWS", 3)
     many = b"<row></row>" * 10
     for row in (many, many.replace(b"row", b"x:row")):
         path.write_bytes(with_part(b"</sheetData>", row + b"</sheetData>"))
