@@ -70,6 +70,8 @@ SEPARATORS: Final = {";": "';'", "\t": "tabs", "|": "'|'", ",": "','", " ": "spa
 _CONTROL: Final = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f]")
 _COMMENT: Final = r"^\s*[#%!]|^[\s|:;,+=-]*$"
 """Comments, empty lines, also of separators, and lines of dashes between header and rows."""
+_TOO_NARROW: Final = r"^\s*#{2,}\s*[;,\t|]"
+"""A cell of ####, as Excel writes a time in a narrow column."""
 _SPACED_TIME: Final = (
     r"(\d{1,4}[-/.]\w{1,3}[-/.]\d{1,4})[ \t]+(\d{1,2}:\d\d)", r"\1T\2"
 ), (r"(?i)(:\d\d(?:[.,]\d+)?)[ \t]+([ap]\.?m)\b", r"\1\2")  # fmt: skip
@@ -467,9 +469,11 @@ def _table_of(path: Path, lines: list[str], options: Sequence[ColumnOption], wor
         several = [(k, cells) for k, separator, cells in candidates if len(cells) > text and separator != " "]
         several = several or [(k, cells) for k, _, cells in candidates if len(cells) > text][:1] or [(1, [])]
         number, found = max(several, key=lambda row: sum(map(bool, row[1])))
-        problem = f"no header with two known quantities; found: {_listed(found) or 'none'} - declare them"
-        names = f"--columns 'HEAD=QUANTITY', with QUANTITY one of {', '.join(NAMES)}"
-        raise FileError(path, f"{word} {number}: {problem}: {names}")
+        problem = f"no header with two known quantities; found: {_listed(found) or 'none'}"
+        hint = f"declare them: --columns 'HEAD=QUANTITY', with QUANTITY one of {', '.join(NAMES)}"
+        if found and all(not cell or _NUMBER_OR_TIME.fullmatch(cell) for cell in found):
+            hint = "is the header missing? Write one above the rows, like 'time [s]', 'length [m]', 'air [m3/h]'"
+        raise FileError(path, f"{word} {number}: {problem} - {hint}")
     head, separator, _ = best
     heads = _split(_uncommented(lines[head - 1]), separator)
     if len(heads) > MOST_COLUMNS:
@@ -481,7 +485,8 @@ def _table_of(path: Path, lines: list[str], options: Sequence[ColumnOption], wor
         body = [line + "\t" * (len(heads) - 1 - line.count("\t")) for line in body]
     rows = pa.array(body, pa.large_string())
     labels = next((line for line in lines[:head] if line.startswith("Y_Unit_Label")), "")  # of LabVIEW
-    numbers = np.flatnonzero(~matches(rows, _COMMENT if text else r"^\s*$")) + head + 1
+    skipped = matches(rows, _COMMENT if text else r"^\s*$") & ~matches(rows, _TOO_NARROW)
+    numbers = np.flatnonzero(~skipped) + head + 1
     below = _split(lines[numbers[0] - 1], separator) if len(numbers) else []
     filled_below = [cell for cell in below if cell]
     units = [*["", *_split(labels, separator)[1:]][: len(heads)], *[""] * len(heads)][: len(heads)]
@@ -615,6 +620,8 @@ def _indices(table: Table, options: Sequence[ColumnOption]) -> tuple[dict[str, i
             both = f"columns {table.heads[first]!r} and {head!r} are both {quantity}"
             raise FileError(table.path, f"{both}: {hint}")
         indices[quantity] = k
+    if "time" not in indices and not table.heads[0] and matches(table.columns[0][:1], MORE_THAN_NUMBER).all():
+        indices["time"] = 0  # the index of a table of pandas
     return indices, {option.quantity: option.unit for option in options if option.unit}
 
 

@@ -152,6 +152,7 @@ FOREIGN = {
     "a time beside each channel": lines(
         head="X_Value;length [m];X_Value;feed [m/s];X_Value;air [m3/h]", row="{t};{x};{t};{v};{t};{a}"
     ),
+    "an index without a heading": lines(",", head=HEAD.replace("time [s]", ""), row=CLOCK, c="%Y-%m-%d %H:%M:%S"),
     "TOA5": '"TOA5","rig","CR1000"\n' + lines(
         ",", head='TIMESTAMP;RECORD;Length_Avg;Feed_Avg;Air_Avg\n"TS";"RN";"m";"m/s";"m^3/h"\n"";"";"Avg";"Avg";"Avg"',
         row='"{c}";{t};{x};{v};{a}', c="%Y-%m-%d %H:%M:%S",
@@ -294,6 +295,11 @@ BROKEN = [
         "line 2, column 'length [m]': inserted_length = 5000 m is outside the accepted range 0 to 1000 m",
     ),
     ("Rig;3\nDate;5/4/2025;;;;\n" + lines(head=OTHER), "line 3: no header with two known quantities; found: 'Kanal 1'"),
+    (
+        BAD.partition("\n")[2],
+        "line 1: no header with two known quantities; found: '0', '5.00', '0.20', '63.0' - is the",
+    ),
+    (lines(row="########;{x};{v};{a}"), "line 2, column 'time [s]': '########' is not a finite number"),
     (HEAD + ";x" * 300 + "\n1;2;3;4", "line 1: 304 columns are more than 256"),
     (b"\xd0\xcf\x11\xe0" + bytes(2000), "a workbook of Excel before 2007: save it as .xlsx"),
     (b"PK\x03\x04" + bytes(2000), "not an Excel workbook that can be read"),
