@@ -80,7 +80,10 @@ def read_bytes(path: str | Path, most: int) -> bytes:
     """The content of a regular file of at most ``most`` bytes; raises as ``open_regular``."""
     with open_regular(path, most) as file:
         try:
-            content = file.read(most + 1)
+            size = os.fstat(file.fileno()).st_size
+            content = file.read(size + 1)  # a longer request would take the memory for it
+            if len(content) > size:
+                content += file.read(most + 1 - len(content))
         except OSError as error:
             raise FileError(path, f"cannot be read: {error.strerror}") from error
     if len(content) > most:  # it grew, or the file system does not report sizes

@@ -6,7 +6,7 @@ import csv
 import math
 import re
 import reprlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -18,6 +18,8 @@ import numpy.typing as npt
 from probe_env.arrays import FloatArray
 from probe_env.files import MEBI, FileError, read_text, read_toml
 
+Row = tuple[str, Mapping[str, Any]]
+"""Location in a file, and values by column."""
 Over = Literal["time", "inserted_length"]
 Interpolation = Literal["linear", "steps"]
 POSITIONS: Final[dict[str, tuple[Over, float, str]]] = {
@@ -33,8 +35,8 @@ WITHDRAWAL: Final = {FEED: "return_feed_speed_m_per_s", AIR: "return_air_supply_
 COLUMNS: Final = (*POSITIONS, *RANGES, *WITHDRAWAL.values())
 CSV_COMMENT = "# interpolation:"
 SEPARATORS: Final = (
-    " - semicolons or decimal commas? A schedule has commas between columns and decimal points; probe-env log reads"
-    " logs over time with other separators and converts them to schedules"
+    " - semicolons or decimal commas? Commas between columns need decimal points; where semicolons are between columns,"
+    " probe-env reads decimal commas, too"
 )
 MOST_BYTES, MOST_POINTS, MOST_COLUMNS = 64 * MEBI, 1_000_000, 1000
 """Limits of a file; enough for three hours of a log at 100 Hz."""
@@ -107,10 +109,7 @@ class Schedule:
         path = Path(path)
         if path.suffix not in (".csv", ".toml"):
             raise FileError(path, "a schedule must be a .csv or a .toml file")
-        interpolation, rows = _from_csv(path) if path.suffix == ".csv" else _from_toml(path)
-        if interpolation not in ("linear", "steps"):
-            raise FileError(path, f"interpolation = {interpolation[:80]!r} is not one of linear, steps")
-        return _validated(path, interpolation, rows)  # type: ignore[arg-type]
+        return schedule_of_rows(path, *(_from_csv(path) if path.suffix == ".csv" else _from_toml(path)))
 
     @classmethod
     def read_withdrawal(cls, path: str | Path) -> Schedule | None:
@@ -123,14 +122,7 @@ class Schedule:
             FileNotFoundError, FileError: as ``read``; only one of the columns, or a schedule over time.
         """
         path = Path(path)
-        insertion = cls.read(path)
-        _, rows = _from_csv(path) if path.suffix == ".csv" else _from_toml(path)
-        found = [name for name in WITHDRAWAL.values() if any(name in row for _, row in rows)]
-        if not found:
-            return None
-        if len(found) < len(WITHDRAWAL) or insertion.over == "time":
-            raise FileError(path, f"{' and '.join(WITHDRAWAL.values())} go together, and need inserted_length_m")
-        return _validated(path, insertion.interpolation, rows, WITHDRAWAL)
+        return withdrawal_of_rows(path, *(_from_csv(path) if path.suffix == ".csv" else _from_toml(path)))
 
     def to_csv(self) -> str:
         """The schedule as CSV text for ``read``."""
@@ -143,7 +135,25 @@ class Schedule:
         return "\n".join(lines) + "\n"
 
 
-def _from_csv(path: Path) -> tuple[str, list[tuple[str, Mapping[str, Any]]]]:
+def schedule_of_rows(path: Path, interpolation: str, rows: Sequence[Row]) -> Schedule:
+    """Schedule of the rows of a file (location and values by column); raises FileError as ``Schedule.read``."""
+    if interpolation not in ("linear", "steps"):
+        raise FileError(path, f"interpolation = {interpolation[:80]!r} is not one of linear, steps")
+    return _validated(path, interpolation, rows)  # type: ignore[arg-type]
+
+
+def withdrawal_of_rows(path: Path, interpolation: str, rows: Sequence[Row]) -> Schedule | None:
+    """Schedule of withdrawal of the rows of a file, or None; raises FileError as ``Schedule.read_withdrawal``."""
+    insertion = schedule_of_rows(path, interpolation, rows)
+    found = [name for name in WITHDRAWAL.values() if any(name in row for _, row in rows)]
+    if not found:
+        return None
+    if len(found) < len(WITHDRAWAL) or insertion.over == "time":
+        raise FileError(path, f"{' and '.join(WITHDRAWAL.values())} go together, and need inserted_length_m")
+    return _validated(path, insertion.interpolation, rows, WITHDRAWAL)
+
+
+def _from_csv(path: Path) -> tuple[str, list[Row]]:
     lines = re.split("\r\n|\r|\n", read_text(path, MOST_BYTES))
     interpolation, first = "linear", 0
     if lines[0].startswith("#"):
@@ -151,7 +161,7 @@ def _from_csv(path: Path) -> tuple[str, list[tuple[str, Mapping[str, Any]]]]:
             raise FileError(path, f"line 1: a comment must be {CSV_COMMENT!r} and linear or steps")
         interpolation, first = lines[0][len(CSV_COMMENT) :].strip(), 1
     table = csv.reader(lines[first:], strict=True)
-    named: list[tuple[str, Mapping[str, Any]]] = []
+    named: list[Row] = []
     header: list[str] = []
     try:
         for row in table:
@@ -188,7 +198,7 @@ def _header(path: Path, line: int, row: list[str]) -> list[str]:
     return header
 
 
-def _from_toml(path: Path) -> tuple[str, list[tuple[str, Mapping[str, Any]]]]:
+def _from_toml(path: Path) -> tuple[str, list[Row]]:
     data = read_toml(path)
     unknown = sorted(set(data) - {"interpolation", "points"})
     if unknown:
@@ -217,10 +227,9 @@ def _check_columns(path: Path, columns: Iterable[str]) -> None:
 def _validated(
     path: Path,
     interpolation: Interpolation,
-    rows: Iterable[tuple[str, Mapping[str, Any]]],
+    rows: Sequence[Row],
     columns: Mapping[str, str] = INSERTION,
 ) -> Schedule:
-    rows = list(rows)
     if rows[0][0] == "header":
         raise FileError(path, "no rows: at least one is needed")
     column = next(name for name in POSITIONS if name in rows[0][1])

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import tempfile
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor
 from dataclasses import dataclass
+from multiprocessing import get_context
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, TypeVar
 
 import numpy as np
 import pandas as pd
@@ -18,7 +20,6 @@ from agents.policies.cases import EvaluationCase
 from agents.policies.catalogue import BY_DIAMETER, STORED, make_policy
 from agents.policies.fixed import FixedPolicy, Replayed
 from agents.policies.on_map import FIRST
-from agents.records.shipped import file_or_shipped
 from probe_env.arrays import FloatArray
 from probe_env.envs.task import TaskConfig, metre_reward
 from probe_env.envs.vibration_map import CONTEXT, expected_cost
@@ -37,6 +38,7 @@ BAND: Final = 1.2816  # standard deviations on each side of the 80 % band of a n
 BY_LENGTH: Final = ("constant", "slow-down", *STORED, BY_DIAMETER, "privileged")
 """Policies that depend on the inserted length and the tube alone; these and shipped schedules can be overlaid."""
 Points = dict[str, list[float]]
+T = TypeVar("T")
 
 
 def points_of(schedule: Schedule) -> Points:
@@ -151,6 +153,14 @@ def policy_line(spec: str, case: EvaluationCase) -> Line:
 
 
 def log_line(path: Path) -> Line:
-    """Feed and air of a rig log, by its path or the name of a shipped one."""
-    log = read_log(file_or_shipped("logs", path))
+    """Feed and air of a rig log."""
+    log = read_log(path)
     return Line(log.inserted_length, log.feed_speed, log.air_supply_rate)
+
+
+def read_in_child(read: Callable[[Path], T], path: Path) -> Future[T]:
+    """Read a file in a process of its own: the server goes on, whatever time and memory the file takes."""
+    pool = ProcessPoolExecutor(1, get_context("spawn"), max_tasks_per_child=1)
+    future = pool.submit(read, path)
+    pool.shutdown(wait=False)  # after this file
+    return future

@@ -47,9 +47,8 @@ class Session:
         vibration = stored_map() if self.tube.changed else map_of(self.tube.path, self.tube.plant)
         return load_case(self.tube.plant, "test", limit, vibration=vibration)
 
-    def open_schedule(self, path: Path) -> None:
-        """Read the points of a schedule file."""
-        schedule = Schedule.read(path)
+    def open_schedule(self, path: Path, schedule: Schedule) -> None:
+        """Take the points of the schedule of a file."""
         try:
             self.points, self.interpolation = points_of(schedule), schedule.interpolation
         except ValueError as error:

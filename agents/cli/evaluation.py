@@ -24,7 +24,7 @@ class Evaluate:
     """
 
     policies: tyro.conf.Positional[Policies] = ("constant", "slow", "slow-down", "pi")
-    """Names (see `probe-env agents`; ppo@2: training seed 2), schedules (.csv, .toml), laws (.json), agents
+    """Names (see `probe-env agents`; ppo@2: training seed 2), schedules (.csv, .toml, .xlsx), laws (.json), agents
     (.safetensors).
     NAME=FILE sets the name in tables, NAME@K=FILE also the training seed.
     shielded:POLICY raises the air supply where the drive would be too low."""

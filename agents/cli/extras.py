@@ -10,7 +10,7 @@ EXTRAS: Final = ("commands", "plant", "agents", "app")
 """Extras of users, from small to large."""
 MODULES: Final = {
     "bokeh": ("bokeh", "tornado"), "imageio": ("imageio", "imageio_ffmpeg"), "jinja2": ("jinja2", "markupsafe"),
-    "pillow": ("PIL",),
+    "pillow": ("PIL",), "python-dateutil": ("dateutil",),
 }  # fmt: skip
 """Package -> its modules, where they differ from the name of the package."""
 

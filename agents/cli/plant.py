@@ -24,10 +24,12 @@ class ReadLog:
     """Log file, or the name of a shipped log: example-rig."""
     columns: tyro.conf.UseAppendAction[Annotated[tuple[str, ...], tyro.conf.arg(metavar="HEAD=QUANTITY[UNIT]")]] = ()
     """Quantities of columns with unrecognised headings: "Vorschub [mm/s]=feed_speed", "v=feed_speed[mm/s]". Repeatable.
-    Quantities: time, date (of a clock in another column), inserted_length, feed_speed, air_supply, root_tension,
-    radial_acceleration_rms, axial_acceleration_rms, rf_noise_rms; none: leave the column out."""
+    Quantities: time, date and fraction (of a clock in another column), inserted_length, feed_speed, air_supply,
+    root_tension, radial_acceleration_rms, axial_acceleration_rms, rf_noise_rms; none: leave the column out."""
     missing: tyro.conf.UseAppendAction[Annotated[tuple[str, ...], tyro.conf.arg(metavar="VALUE")]] = ()
     """Text or number that marks a missing value, in addition to NaN, -999.25, 9999 and the like. Repeatable."""
+    time_format: str = ""
+    """Form of the times for strptime, like "%d.%m.%y %H:%M:%S"; default: detected."""
     output: File = None
     """Clean file (.csv), or - to print it and nothing else; default: output/NAME-clean.csv."""
     plot: File = None
@@ -77,6 +79,7 @@ class ReadLog:
             decimal=self.decimal,
             air_supply_rate=air,
             missing=self.missing,
+            time_format=self.time_format,
         )
         write_text(output, log.to_csv())
         written = [output, *([draw_log(log, self.plot)] if self.plot else [])]
@@ -107,6 +110,8 @@ class Calibrate:
     """Quantities of columns with unrecognised headings, see `probe-env log --help`."""
     missing: tyro.conf.UseAppendAction[Annotated[tuple[str, ...], tyro.conf.arg(metavar="VALUE")]] = ()
     """Text or number that marks a missing value, see `probe-env log --help`."""
+    time_format: str = ""
+    """Form of the times for strptime, see `probe-env log --help`."""
 
     def run(self) -> None:
         """Read, sample, store, print."""
@@ -120,7 +125,8 @@ class Calibrate:
         from probe_env import Plant
 
         plant = plant_at(self.tube) or Plant()
-        cases = read_cases(self.logs, plant, self.helix_diameters, self.tubes, self.columns, self.missing)
+        arguments = self.columns, self.missing, self.time_format
+        cases = read_cases(self.logs, plant, self.helix_diameters, self.tubes, *arguments)
         calibration = calibrate(cases, plant, stored_response(), str(self.tube or "tube"))
         target = self.output / "calibration.json"
         write_json(target, calibration.to_json() | {"provenance": origin()})

@@ -23,10 +23,13 @@ from agents.plant.inference import (
 from agents.plant.logs import read_log
 from agents.plant.prior import UNKNOWNS, Prior, prior_of
 from agents.plant.response import CHANNELS, Response, metres_of
+from agents.records.quantities import HOUR
 from agents.records.shipped import file_or_shipped
 from agents.terminal.names import name_of, name_problem
 from agents.terminal.tables import print_table, print_terms
 from probe_env import Plant
+from probe_env.files import FileError
+from probe_env.physics.model.chain import air_speed
 from probe_env.settings import within
 
 LEVEL: Final = 0.90
@@ -145,6 +148,7 @@ def read_cases(
     tubes: Sequence[str],
     columns: Sequence[str],
     missing: Sequence[str] = (),
+    time_format: str = "",
 ) -> list[Case]:
     """Read the logs and assign their tubes; all arguments are checked before the first log is read.
 
@@ -183,7 +187,15 @@ def read_cases(
     cases = []
     for label, file, tube, diameter in zip(labels, files, names, diameters, strict=True):
         scene = plant.scene.model_copy(update={"tube": {"helix_diameter": diameter}})
-        cases.append(Case(label, tube, scene, metres_of(read_log(file, columns, missing=missing))))
+        log = read_log(file, columns, missing=missing, time_format=time_format)
+        metres = metres_of(log)
+        least = metres.feed / air_speed(scene, 1.0)
+        if (slow := metres.air <= least).any():
+            k = int(slow.argmax())
+            problem = f"air_supply = {HOUR * metres.air[k]:.4g} m3/h at an inserted length of {metres.length[k]:g} m"
+            hint = f"calibration needs air that is faster than the feed, there more than {HOUR * least[k]:.3g} m3/h"
+            raise FileError(file, f"{problem}: {hint} - is the column or its unit wrong?")
+        cases.append(Case(label, tube, scene, metres))
     return cases
 
 

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
-from agents.plant.quantities import QUANTITIES, plain, split_head
-from agents.plant.reader import Channels, IntArray, Table
-from agents.plant.times import MORE_THAN_NUMBER
+from agents.records.quantities import QUANTITIES, plain, split_head
+from agents.records.reader import Channels, IntArray, Table
+from agents.records.times import DAY
 from probe_env.arrays import FloatArray
+from probe_env.files import FileError
 from probe_env.schedule import POSITIONS
 from probe_env.settings import within
 
@@ -100,11 +100,18 @@ def clean(channels: Channels, bounds: Bounds) -> CleanLog:
     long = steps[steps > USUAL_SPACING * np.median(steps)]
     count = len(table.lines)
     repairs = Repairs(count, count - len(timed), len(timed) - len(rows), len(long), float(long.max(initial=0.0)))
-    for name, column in values.items():
+    notes = channels.notes
+    for name, column in list(values.items()):
         repairs.missing += int(np.isnan(column).sum())
-        values[name] = _bridged(channels, name, time, column, rows, bounds.gap)
+        try:
+            values[name] = _bridged(channels, name, time, column, rows, bounds.gap)
+        except FileError as error:
+            if name != "feed_speed" or "inserted_length" not in values:
+                raise
+            notes += (f"Left out, as there is an encoder: the feed speed, {error.problem}.",)
+            values.pop(name)
     speed, encoder = values.pop("feed_speed", None), values.pop("inserted_length", None)
-    length, notes = encoder, channels.notes
+    length = encoder
     if speed is not None:
         means = speed[:-1] if table.steps else 0.5 * (speed[1:] + speed[:-1])
         fed = np.concatenate([[0.0], np.cumsum(means * steps)])
@@ -147,15 +154,17 @@ def _merged(channels: Channels, rows: IntArray, bounds: Bounds) -> tuple[FloatAr
     table, k = channels.table, channels.indices["time"]
     if len(rows) < 2:
         raise table.error(0, f"{len(rows)} rows have a time: at least two are needed", k)
-    number = not re.search(MORE_THAN_NUMBER, table.columns[k][rows[0]].as_py())
+    number = not channels.written_out
     unit = f"is the unit of time right? - declare it, --columns '{plain(split_head(table.heads[k])[0])}=time[UNIT]'"
     time = np.round(channels.time[rows] - channels.time[rows[0]], DIGITS)
     steps, most = np.diff(time), POSITIONS["time_s"][1]
     if steps.min() < 0.0:
         row = int((steps < 0.0).argmax()) + 1
         cell = table.columns[k][rows[row]].as_py()
-        problem = f"the time {cell[:40]!r} is {-steps[row - 1]:.6g} s before the row above: sort or cut the file"
-        raise table.error(rows[row], problem, k)
+        problem = f"the time {cell[:40]!r} is {-steps[row - 1]:.6g} s before the row above"
+        half_day = channels.written_out and abs(steps[row - 1] + 0.5 * DAY) < 60.0
+        hint = "a 12-hour clock without AM or PM? Export it with 24 hours" if half_day else "sort or cut the file"
+        raise table.error(rows[row], f"{problem}: {hint}", k)
     if time[-1] == 0.0:
         raise table.error(rows[-1], "the time never changes: is this the column of time?", k)
     if time[-1] > most:

@@ -11,8 +11,8 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from agents.plant.cleaning import DIGITS, DWELL, Bounds, Repairs, clean, group_means, outside, standstills_of, thin_rows
-from agents.plant.quantities import HOUR, MEASURED, QUANTITIES, parse_columns
-from agents.plant.reader import IntArray, read_channels
+from agents.records.quantities import HOUR, MEASURED, QUANTITIES, parse_columns
+from agents.records.reader import IntArray, read_channels
 from agents.terminal.tables import print_table, print_terms
 from probe_env.arrays import FloatArray
 from probe_env.envs.task import TaskConfig
@@ -94,6 +94,7 @@ def read_log(
     decimal: str = "auto",
     air_supply_rate: float | None = None,
     missing: Sequence[str] = (),
+    time_format: str = "",
 ) -> Log:
     """Read the log of an inspection rig: text with any separator, or an Excel sheet.
 
@@ -105,6 +106,7 @@ def read_log(
         decimal: "point", "comma", or "auto": from the file.
         air_supply_rate: air of a log without that column [m3/s].
         missing: texts and numbers that mark missing values, in addition to NaN, -999.25 and the like.
+        time_format: form of the column of time for ``strptime``, like "%d.%m.%y %H:%M:%S"; empty: detected.
 
     Raises:
         FileNotFoundError: no such file.
@@ -117,7 +119,7 @@ def read_log(
         raise ValueError(f"decimal = {decimal!r} is not one of {', '.join(DECIMALS)}")
     if air_supply_rate is not None:
         within("air_supply_rate", air_supply_rate, 0.0, RANGES[AIR][1] / HOUR, "m3/s")
-    channels = read_channels(path, sheet, options, DECIMALS[decimal], air_supply_rate, missing)
+    channels = read_channels(path, sheet, options, DECIMALS[decimal], air_supply_rate, missing, time_format)
     table, whole = channels.table, clean(channels, bounds)
     share = 0.49 * bounds.tolerance  # for standstills and for interpolation; the rest is for rounding
     rows: IntArray

@@ -16,8 +16,8 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from agents.plant.logs import Log
-from agents.plant.quantities import MEASURED, QUANTITIES
 from agents.records.atomic import write_atomically
+from agents.records.quantities import MEASURED, QUANTITIES
 from probe_env import Scene
 from probe_env.arrays import FloatArray
 from probe_env.files import FileError, read_arrays

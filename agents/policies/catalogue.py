@@ -17,6 +17,7 @@ from agents.policies.planner import INSPECTION_PLANNERS, PLANNERS, InsertionPlan
 from agents.policies.plc_law import PlcIntegral, PlcProportional
 from agents.policies.policy import Domain, Policy
 from agents.policies.wrappers import PREFIX, RoundTripPolicy, Shielded, fastest_withdrawal, insertion_task
+from agents.records.reader import read_schedule, read_withdrawal
 from agents.records.shipped import policy_file, shipped_agents, shipped_names, ships
 from agents.terminal.names import checked_name, name_of
 from probe_env.envs.task import TaskConfig
@@ -24,6 +25,7 @@ from probe_env.envs.vibration_map import VibrationMap, check_measure, stored_map
 from probe_env.files import one_line
 from probe_env.schedule import Schedule
 
+SCHEDULES: Final = (".csv", ".toml", ".xlsx")
 DATA: Final = Path(__file__).parent / "data"
 STORED: Final = ("best-constant", "best-schedule")
 """Schedules found by ``probe-env study best-schedules``, in ``agents/policies/data/``."""
@@ -77,7 +79,7 @@ def _is_known(spec: str) -> bool:
 
 def _is_file(spec: str) -> bool:
     path = Path(spec.removeprefix(PREFIX))
-    return path.suffix in (".csv", ".toml", ".json", ".safetensors") and path.exists()
+    return path.suffix in (*SCHEDULES, ".json", ".safetensors") and path.exists()
 
 
 def user_policies(specs: Sequence[str]) -> list[str]:
@@ -91,7 +93,7 @@ def user_policies(specs: Sequence[str]) -> list[str]:
 
 
 def make_policy(spec: str, config: TaskConfig, vibration: VibrationMap | None = None, classes: bool = False) -> Policy:
-    """Make a policy from a name, schedule (.csv, .toml), feedback law (.json), bundle (.safetensors) or class.
+    """Make a policy from a name, schedule (``SCHEDULES``), feedback law (.json), bundle (.safetensors) or class.
 
     Shipped agents are NAME (training seed 0) or NAME@SEED. "shielded:" before a name or file adds the shield. In a task
     with withdrawal, agents that were trained in one act on both passes. Other policies act on the insertion; the
@@ -129,8 +131,8 @@ def make_policy(spec: str, config: TaskConfig, vibration: VibrationMap | None = 
         return Scheduled(config, Schedule.read(DATA / f"{spec}.csv"))
     if spec == BY_DIAMETER:
         return ByDiameter.read(config, DATA)
-    if suffix in (".csv", ".toml"):
-        schedule = Schedule.read(spec)
+    if suffix in SCHEDULES:
+        schedule = read_schedule(spec)
         _warn_of_limits(spec, schedule, config)
         return (Replayed if schedule.over == "time" else Scheduled)(config, schedule)
     if suffix == ".json":
@@ -146,8 +148,9 @@ def make_policy(spec: str, config: TaskConfig, vibration: VibrationMap | None = 
     names = (*NAMES, *shipped_agents(), *shipped_names("schedules"))
     similar = ", ".join(difflib.get_close_matches(spec, names))
     raise ValueError(
-        f"policy = {spec!r} is not one of {', '.join(names)}, nor a schedule (.csv, .toml), a feedback law (.json), an"
-        f" agent's bundle (.safetensors) or a class (module:Class){f'; the closest: {similar}' if similar else ''}"
+        f"policy = {spec!r} is not one of {', '.join(names)}, nor a schedule ({', '.join(SCHEDULES)}), a feedback"
+        " law (.json), an agent's bundle (.safetensors) or a class (module:Class)"
+        + (f"; the closest: {similar}" if similar else "")
     )
 
 
@@ -187,7 +190,7 @@ def _round_trip(spec: str, config: TaskConfig, vibration: VibrationMap | None, c
             if spec.startswith(PREFIX):
                 raise ValueError(f"policy = {spec!r}: the shield acts on the insertion only, this agent on both passes")
             return load_bundle(file, config)
-    back = Schedule.read_withdrawal(file) if file.suffix in (".csv", ".toml") else None
+    back = read_withdrawal(file) if file.suffix in SCHEDULES else None
     if back is not None:
         _warn_of_limits(f"{spec}, withdrawal", back, config)
     insertion = make_policy(spec, insertion_task(config), vibration, classes)

@@ -1,7 +1,10 @@
 """The page without a browser: its screens are built, show a run, and load nothing from other hosts."""
 
 import json
+import os
+import time
 from collections import deque
+from html import unescape
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -18,6 +21,12 @@ from agents.evaluation.plan import Plan, RolloutRunner
 from agents.policies.cases import load_case
 from agents.policies.catalogue import named_policies
 from probe_env.fidelity import resolve_fidelity
+from probe_env.schedule import AIR, FEED
+
+
+def end_process(path):
+    """As the system does where a process takes too much memory."""
+    os._exit(1)
 
 
 class Idle:
@@ -126,3 +135,38 @@ def test_a_comparison_of_designs_is_shown_as_the_command_prints_it(app, tmp_path
     for _, *texts in cells(summarise(read_comparison(Path("results/design/confirmed")))):
         for text in texts:
             assert f"<td>{text}</td>" in page.compare.content.text
+
+
+def test_a_log_and_a_schedule_are_read_in_another_process(app, tmp_path, monkeypatch):
+    page = Page(app)
+    screen = page.schedule
+    for path, text in {
+        "rig.csv": "time;length [m];feed [m/s];air [m3/h]\n0;5,0;0,2;63\n1;5,2;0,2;63\n2;5,4;0,2;63\n",
+        "mine.csv": "Länge [m];Vorschub [mm/s];Luft [m3/h]\n5;200;63\n25;150;100\n",
+        "bad.csv": "Länge [m];Vorschub [kg];Luft [m3/h]\n5;200;63\n",
+    }.items():
+        (tmp_path / path).write_text(text, encoding="utf-8")
+
+    def wait():
+        assert "reading" in screen.problem.text
+        for _ in range(600):
+            if not screen._reading:
+                return
+            time.sleep(0.1)
+            page.tick()
+
+    screen.log.value = str(tmp_path / "rig.csv")
+    wait()
+    assert screen.lines.data["name"] == ["constant", "log"]
+    assert screen.lines.data["length"][1] == pytest.approx([5.0, 5.2, 5.4])
+    screen.open.value = str(tmp_path / "mine.csv")
+    wait()
+    assert page.session.points == {"inserted_length_m": [5.0, 25.0], FEED: [0.2, 0.15], AIR: [63.0, 100.0]}
+    assert page.session.name == "mine"
+    screen.open.value = str(tmp_path / "bad.csv")
+    wait()
+    assert "bad.csv: column 'Vorschub [kg]': 'kg' is not a unit of feed_speed" in unescape(screen.problem.text)
+    monkeypatch.setattr("agents.app.screens.schedule.read_schedule", end_process)
+    screen.open.value = str(tmp_path / "rig.csv")
+    wait()
+    assert "the process that read the file was killed" in screen.problem.text

@@ -12,7 +12,7 @@ from agents.app.schedules import AIR, FEED, LENGTH, MISSING
 from agents.cli import main
 from agents.policies.cases import load_case
 from agents.policies.catalogue import DATA
-from agents.records.shipped import shipped_names
+from agents.records.shipped import file_or_shipped, shipped_names
 from agents.studies.shipped.best_schedules import MapCost
 from probe_env import Plant
 from probe_env.envs.task import TaskConfig
@@ -158,6 +158,6 @@ def test_every_offered_overlay_is_a_line():
         line = schedules.policy_line(name, case)
         assert len(line.length) == len(line.feed) == len(line.air) > 1, name
         assert np.isfinite(np.concatenate(line)).all(), name
-    assert (np.diff(schedules.log_line(Path("example-rig")).length) >= 0.0).all()
+    assert (np.diff(schedules.log_line(file_or_shipped("logs", "example-rig")).length) >= 0.0).all()
     with pytest.raises(ValueError, match="depends on measurements"):
         schedules.policy_line("pi", case)

@@ -22,6 +22,7 @@ from agents.plant.prior import DAMPING, DRAG, FRICTION, STIFFNESS, prior_of
 from agents.plant.response import CHANNELS, Metres, metres_of, observed, steady_tension, stored_response
 from probe_env import Plant, Scene
 from probe_env.arrays import FloatArray
+from probe_env.files import FileError
 
 RESPONSE, PRIOR = stored_response(), prior_of(Plant())
 LENGTH = np.arange(6.5, 50.0)
@@ -330,3 +331,15 @@ def test_arguments_that_do_not_fit_are_refused_before_a_log_is_read() -> None:
     for arguments, problem in cases:
         with pytest.raises(ValueError, match=problem):
             read_cases(**(usual | arguments))
+
+
+def test_a_log_without_air_is_refused_by_file_column_and_value(tmp_path: Path) -> None:
+    path, head = tmp_path / "rig.csv", "time [s];inserted_length [m];air_supply [m3/h];root_tension [N]"
+    for switched_off in (0, 50):
+        rows = [f"{k};{5 + 0.3 * k:.1f};{63 * (k < switched_off)};5" for k in range(100)]
+        path.write_text("\n".join([head, *rows]))
+        with pytest.raises(FileError) as caught:
+            read_cases([path], Plant(), (1.0,), (), ())
+        at = "5.5" if switched_off == 0 else "20.5"  # the first metre in which the air is off throughout
+        assert str(caught.value).startswith(f"{path}: air_supply = 0 m3/h at an inserted length of {at} m: ")
+        assert "faster than the feed" in str(caught.value)

@@ -96,6 +96,35 @@ FOREIGN = {
     "a clock with decimal commas": lines(sign=",", row=CLOCK, c="%H:%M:%S.500"),
     "a date and a clock": lines(head=DATED, row=DAYS, d="%d.%m.%Y", c="%H:%M:%S"),
     "a named date": (lines(head=DATED.replace("Datum", "D"), row=DAYS, d="%Y-%m-%d", c="%H:%M:%S"), ("D=date",)),
+    "12 hours": lines(row=CLOCK, c="%I:%M:%S %p"),
+    "American dates": lines(
+        row=CLOCK, c=lambda t, _: f"3/4/2025 {('9:59:58', '9:59:59', '10:00:00', '10:00:01')[t]} AM"
+    ),
+    "dates with slashes": lines(row=CLOCK, c="%Y/%m/%d %H:%M:%S"),
+    "day first": lines(row=CLOCK, c="%d/%m/%y %H:%M:%S"),
+    "month first": lines(row=CLOCK, c="%m/%d/%Y %H:%M:%S"),
+    "short dates with dots": lines(row=CLOCK, c="%d.%m.%y %H:%M:%S"),
+    "names of months": lines(row=CLOCK, c="%d-%b-%Y %H:%M:%S"),
+    "German names of months": lines(row=CLOCK, c=lambda t, _: f"Mo 3. März 2025, 09:59:{50 + t}"),
+    "dates of C": lines(row=CLOCK, c="%a %b %d %H:%M:%S %Y"),
+    "compact timestamps": lines(row=CLOCK, c="%Y%m%dT%H%M%S"),
+    "digits alone": lines(row=CLOCK, c="%Y%m%d%H%M%S"),
+    "zones by name": lines(row=CLOCK, c="%Y-%m-%d %H:%M:%S CET"),
+    "elapsed days": lines(
+        row=CLOCK, c=lambda t, _: ("0 days 23:59:58", "0 days 23:59:59", "1 day, 0:00:00", "1 days 00:00:01")[t]
+    ),
+    "24:00": lines(row=CLOCK, c=lambda t, _: ("23:59:59", "24:00:00", "00:00:01", "00:00:02")[t]),
+    "milliseconds behind a colon": lines(row=CLOCK, c="%H:%M:%S:500"),
+    "dates with slashes and a clock": lines(head=DATED, row=DAYS, d="%Y/%m/%d", c="%H:%M:%S"),
+    "American dates and a clock": lines(head=DATED, row=DAYS, d="%m/%d/%Y", c="%I:%M:%S %p"),
+    "serial days and a clock": lines(head=DATED, row=DAYS, d=lambda t, _: f"{45443 + t // 2}", c="%H:%M:%S"),
+    "a column of milliseconds": lines(
+        head=HEAD.replace(";", ";ms;", 1), row="{c};250;{x};{v};{a}", c="%Y/%m/%d %H:%M:%S"
+    ),
+    "AM between spaces": lines(" ", head="Time;length[m];feed[m/s];air[m3/h]", row="{c};{x};{v};{a}", c="%I:%M:%S;%p"),
+    "date and clock between spaces": lines(
+        " ", head="Date;Time;length[m];feed[m/s];air[m3/h]", row=DAYS, d="%d.%m.%Y", c="%H:%M:%S"
+    ),
     "a date of the start alone": lines(head=DATED, row=DAYS, d=lambda *_: "31/5/24", c="%H:%M:%S"),
     "a date beside seconds": lines(head=DATED, row=DAYS, d="%d.%m.%Y", c=lambda t, _: f"{t}"),
     "no time at first": lines(row=CLOCK, c="%H:%M:%S").replace("\n", "\nn/a;4.9;0.2;63.0\n", 1),
@@ -109,6 +138,26 @@ FOREIGN = {
     ),
     "exponents and signs": lines(row="+{t}E+0;{mm}e-3;2.0E-1;+6.3e1"),
     "a minus of Unicode": lines(row="{t};{mm}e\u22123;{v};{a}"),
+    "signs apart": lines(row="{t};+ {x};+   {v};+ {a}"),
+    "heads with line breaks": lines(",", head='Time;"Inserted\nLength\n[m]";"Feed\n[m/s]";"Air [m3/h]"'),
+    "units behind a comma": lines(head="Time, s;Length, m;Feed, m/s;Air, m³/h"),
+    "units behind a bare slash": lines(head="Zeit/s;Weg/mm;Vorschub/(m/s);Luft/m³/h", row="{t};{mm};{v};{a}"),
+    "a logger with units and rows of numbers": lines(
+        ",", head="Number;Date&Time;ms;length;feed;air\nNO.;Time;ms;mm;mm/s;m3/h", row="{t};{c};0;+ {mm};+ 200;+ {a}",
+        c="%Y/%m/%d %H:%M:%S",
+    ),
+    "LabVIEW": lines(
+        "\t", ",", "Y_Unit_Label;m;m/s;m3/h\n***End_of_Header***;;;;\nX_Value;Length;Feed;Air;Comment"
+    ),
+    "a time beside each channel": lines(
+        head="X_Value;length [m];X_Value;feed [m/s];X_Value;air [m3/h]", row="{t};{x};{t};{v};{t};{a}"
+    ),
+    "an index without a heading": lines(",", head=HEAD.replace("time [s]", ""), row=CLOCK, c="%Y-%m-%d %H:%M:%S"),
+    "TOA5": '"TOA5","rig","CR1000"\n' + lines(
+        ",", head='TIMESTAMP;RECORD;Length_Avg;Feed_Avg;Air_Avg\n"TS";"RN";"m";"m/s";"m^3/h"\n"";"";"Avg";"Avg";"Avg"',
+        row='"{c}";{t};{x};{v};{a}', c="%Y-%m-%d %H:%M:%S",
+    ),
+    "rows of separators": lines().replace("\n1", "\n;;;\n1") + "\n;;;\n",
     "units behind a space": lines(
         ",", head="Time s;Inserted Length mm;Feed Speed mm/s;Air Flow m³/h", row=LONG
     ),
@@ -129,6 +178,9 @@ FOREIGN = {
     "a sheet with clock and text": sheet(SHEET_HEAD, *([MIDNIGHT[t], f"{x:.2f}", 63] for t, x in ROWS)),
     "a sheet with a date and a clock": sheet(
         ["Datum", *SHEET_HEAD], *([datetime(2024, 5, 31 - (t < 3)), MIDNIGHT[t], x, 63] for t, x in ROWS)
+    ),
+    "a sheet with elapsed times": sheet(
+        SHEET_HEAD, *([timedelta(seconds=86_398 + t), x, 63] for t, x in ROWS)
     ),
     "a sheet with dates": sheet(
         SHEET_HEAD, *([datetime(2024, 1, 1) + timedelta(seconds=t), x, 63] for t, x in ROWS)
@@ -166,10 +218,15 @@ CHANGED = [
     ("\n2;", "\n0.5;", "line 4, column 'time [s]': the time '0.5' is 0.5 s before the row"),
     ("\n3;", "\n3e9;", "line 5, column 'time [s]': 3e+09 s are more than 100000 s"),
     ("\n3;", "\n9;", "lines 4 to 5: no rows for 7 s, more than the 5 s"),
-    ("m/s", "furlongs/s?", "column 'feed [furlongs/s?]': 'furlongs/s?' is not a unit"),
-    ("m/s", "wubbles", "column 'feed [wubbles]': the unit 'wubbles' is unknown"),
-    ("m/s", "kg", "column 'feed [kg]': 'kg' is not a unit of feed_speed - convert the column to m/s"),
-    (" [m/s]", "", "column 'feed' has no unit: declare it, --columns 'feed=feed_speed[UNIT]'"),
+    ("[m]", "[furlongs?]", "column 'length [furlongs?]': 'furlongs?' is not a unit"),
+    ("[m]", "[wubbles]", "column 'length [wubbles]': the unit 'wubbles' is unknown"),
+    ("[m]", "[kg]", "column 'length [kg]': 'kg' is not a unit of inserted_length - convert the column to m"),
+    ("length [m]", "length", "column 'length' has no unit: declare it, --columns 'length=inserted_length[UNIT]'"),
+    (
+        "5.40",
+        "off",
+        "'off' is not a finite number - correct it, or leave it empty, or if it marks a missing value, --missing=off",
+    ),
     ("length [m]", "Vorschub [m/s]", "columns 'Vorschub [m/s]' and 'feed [m/s]' are both feed_speed"),
     ("time", "clock?", "no column for time; found: 'clock? [s]', 'length [m]'"),
     ("air", "p", "no column for air_supply; found: 'time [s]'"),
@@ -215,19 +272,34 @@ BROKEN = [
     (lines(row=CLOCK, c=lambda t, _: f"12:00:0{t}" if t != 2 else "2"), "line 4, column 'time [s]': '2' is not a time"),
     (
         lines(row=CLOCK, c=lambda t, _: f"2024-05-31T12:00:0{t}{'Z' * (t == 2)}"),
-        "line 4, column 'time [s]': '2024-05-31T12:00:02Z' is mixed with the others",
+        "line 4, column 'time [s]': '2024-05-31T12:00:02Z' is another form of time than '2024-05-31T12:00:00' above",
     ),
     (
         with_days("0{}.06.2024", lambda t, _: f"{9 - t // 2}:00:0{t}"),
         "lines 3 to 4: no rows for 82801 s, more than the 5 s",
     ),
     (with_days("0{}.06.2024", lambda t, _: f"12:00:0{t}"), "lines 3 to 4: no rows for 86401 s, more than the 5 s"),
-    (with_days("6/{}/24", "%H:%M:%S"), "line 2, column 'Datum': '6/1/24' is not a date like 2024-05-31 or 31.05.2024"),
+    (with_days("day {}", "%H:%M:%S"), "line 2, column 'Datum': 'day 1' is not a date like 2024-05-31, 31.05.2024 or"),
+    (
+        lines(row=CLOCK, c=lambda t, _: ("12:59:58", "12:59:59", "1:00:00", "1:00:01")[t]),
+        "line 4, column 'time [s]': the time '1:00:00' is 43199 s before the row above: a 12-hour clock without AM",
+    ),
+    (lines(row=CLOCK, c=lambda t, _: f"9h0m{t}s"), "'9h0m0s' is not a time like 2024-05-31T14:05:09.25, 31.05.2024"),
+    (
+        lines(head=HEAD.replace(";", ";ms;", 1), row="{c};{mm};{x};{v};{a}", c="%H:%M:%S"),
+        "line 2, column 'ms': '5000.0' is not a fraction of a second, 0 to less than 1 s: leave it out, --columns 'ms=",
+    ),
     (HOLE, "lines 4 to 14: column 'length [m]' has no values for 10 s, more than the 5 s"),
     (
         lines(row="{t};{mm};{v};{a}"),
         "line 2, column 'length [m]': inserted_length = 5000 m is outside the accepted range 0 to 1000 m",
     ),
+    ("Rig;3\nDate;5/4/2025;;;;\n" + lines(head=OTHER), "line 3: no header with two known quantities; found: 'Kanal 1'"),
+    (
+        BAD.partition("\n")[2],
+        "line 1: no header with two known quantities; found: '0', '5.00', '0.20', '63.0' - is the",
+    ),
+    (lines(row="########;{x};{v};{a}"), "line 2, column 'time [s]': '########' is not a finite number"),
     (HEAD + ";x" * 300 + "\n1;2;3;4", "line 1: 304 columns are more than 256"),
     (b"\xd0\xcf\x11\xe0" + bytes(2000), "a workbook of Excel before 2007: save it as .xlsx"),
     (b"PK\x03\x04" + bytes(2000), "not an Excel workbook that can be read"),
@@ -248,13 +320,12 @@ SHEET_ROWS = ["time [s]", "feed [m/s]", "air [m3/h]"], [0, 0.2, 63], [1, 0.2, 63
 GOOD_SHEET = sheet(*SHEET_ROWS)
 
 
-def with_part(old, new):
-    """The good workbook with something replaced in its second sheet."""
+def with_part(old, new=None, part="xl/worksheets/sheet2.xml"):
+    """The good workbook with something replaced in a part, or with another part."""
     with zipfile.ZipFile(io.BytesIO(GOOD_SHEET)) as file:
-        parts = {part: file.read(part) for part in file.namelist()}
-    page = "xl/worksheets/sheet2.xml"
-    assert old in parts[page]
-    return archive(parts | {page: parts[page].replace(old, new)})
+        parts = {name: file.read(name) for name in file.namelist()}
+    assert new is None or old in parts[part]
+    return archive(parts | {part: old if new is None else parts[part].replace(old, new, 1)})
 
 
 ENTITIES = b'<!DOCTYPE w [<!ENTITY a "' + b"ha" * 1000 + b'">' + b"".join(
@@ -266,6 +337,16 @@ SHEETS = [
         archive({"a": b"0" * 1000}).replace(struct.pack("<I", 1000), struct.pack("<I", 2**31)),
         "1 parts of 2147483648 bytes",
     ),
+    (  # 0.1 MB that become gigabytes as a tree
+        with_part(b"<a/>" * 2_000_000, part="xl/workbook.xml"),
+        "its part 'xl/workbook.xml' has 8000000 bytes, more than the 4194304 accepted",
+    ),
+    (
+        with_part(b"worksheet+xml", b"sheet.main+xml", part="[Content_Types].xml"),
+        "not an Excel workbook that can be read: 'xl/worksheets/sheet1.xml' is 'application/vnd.openxml",
+    ),
+    (with_part(b"<c ", b"<c/>" * 2_000_000 + b"<c "), "xl/worksheets/sheet2.xml has a row of more than 4194304 bytes"),
+    (with_part(b"<row ", b"<!-- <row -->" * 9 + b"<row "), f"{UNREADABLE}: xl/worksheets/sheet2.xml has comments"),
     (GOOD_SHEET[:-200], f"{UNREADABLE} (BadZipFile)"),
     (archive({"a.txt": b"1"}), f"{UNREADABLE} (KeyError)"),
     (with_part(b"<row", b"<<row"), UNREADABLE),
@@ -323,7 +404,7 @@ def test_markers_of_missing_values_are_interpolated_and_counted(tmp_path):
             assert log.measured["root_tension"] == RAMP, marker
             assert log.repairs.missing == cells.count(marker)
             assert len(log.notes) == marker[-1].isdigit()
-    for marker in ("Bad", "-1", "0,0"):
+    for marker in ("Bad", "-1", "0,0", "1.#INF", "+++++++"):
         log = read_log(rig(path, [*TENSIONS[:3], marker.replace(",", "."), *TENSIONS[4:]]), missing=(marker,))
         assert log.measured["root_tension"] == RAMP
         assert log.time[0] == 0.0  # numbers of time are no markers
@@ -356,6 +437,53 @@ def test_an_overload_that_repeats_is_refused_unless_it_is_declared(tmp_path):
         read_log(path)
     path.write_text(HEAD + "".join(f"\n{t};{5 + 0.2 * t:.1f};0.2;{63 if t > 2 else 0.5}" for t in range(8)))
     assert read_log(path).notes == ()  # the air is switched on
+
+
+def test_minutes_and_seconds(tmp_path):
+    path, clocks = tmp_path / "rig.csv", [f"{k // 60 % 60:02}:{k % 60:02}.5" for k in range(3596, 3604)]
+    log = read_log(rig(path, TENSIONS, times=clocks, time="Time"))
+    assert log.time == pytest.approx(list(range(8)))
+    assert log.notes == ("The column 'Time' is read as mm:ss; for hh:mm, --time-format %H:%M.",)
+    log = read_log(rig(path, TENSIONS, times=[f"59:{52 + k}" if k < 8 else f"60:0{k - 8}" for k in range(8)]))
+    assert log.time[-1] == 7.0
+    log = read_log(
+        rig(path, TENSIONS[:3], times=["23:59", "00:00", "00:01"]), bounds=Bounds(gap=60.0), time_format="%H:%M"
+    )
+    assert log.time[-1] == 120.0
+    assert log.notes[0].startswith("The speed column and the encoder disagree")
+
+
+def test_the_form_of_times_is_declared(tmp_path):
+    path = tmp_path / "rig.csv"
+    for form, times in {
+        "%d.%m.%y %H:%M:%S": [f"31.12.24 23:59:5{k}" for k in range(6)] + [f"31.12.24 23:59:5{k}" for k in (6, 7)],
+        "%Hh%Mm%Ss": [f"23h59m{k}s" for k in range(56, 60)] + [f"00h00m0{k}s" for k in range(4)],
+        "%H%M%S": [f"2359{k}" for k in range(56, 60)] + [f"00000{k}" for k in range(4)],
+        "%Y-%j %H:%M:%S": [f"2025-063 09:00:0{k}" for k in range(8)],
+    }.items():
+        log = read_log(rig(path, TENSIONS, times=times, time="Time"), time_format=form)
+        assert log.time == pytest.approx(list(range(8)))
+    with pytest.raises(FileError, match="line 2, column 'Time': '2025-063 09:00:00' is not a time of the form '%H:%M'"):
+        read_log(path, time_format="%H:%M")
+    with pytest.raises(ValueError, match="time_format = '%Q' is not a form of time: 'Q' is a bad directive"):
+        read_log(path, time_format="%Q")
+
+
+def test_a_feed_that_is_not_needed_is_left_out(tmp_path):
+    path = tmp_path / "rig.csv"
+    for feed, value, problem in (
+        ("speed [rpm]", "1450", "column 'speed [rpm]': 'rpm' is not a unit of feed_speed."),
+        ("speed", "1450", "column 'speed' has no unit."),
+        ("speed [m/s]", "auto", "line 2, column 'speed [m/s]': 'auto' is not a finite number."),
+        ("speed [m/s]", "", "the feed speed, line 2, column 'speed [m/s]': no value in the whole column."),
+    ):
+        path.write_text(lines(head=f"time;length [m];{feed};air [m3/h]", row=f"{{t}};{{x}};{value};{{a}}"))
+        log = read_log(path)
+        assert log.notes == (f"Left out, as there is an encoder: {problem}",)
+        assert log.feed_speed == pytest.approx([0.2] * 4, abs=1e-5)
+        path.write_text(lines(head=f"time;{feed};air [m3/h]", row=f"{{t}};{value};{{a}}"))
+        with pytest.raises(FileError):
+            read_log(path)  # here it is needed
 
 
 def test_times_that_make_no_sense(tmp_path):
@@ -410,7 +538,13 @@ def test_sizes_and_pipes(tmp_path, monkeypatch):
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(FileError, match="a pipe or a device"):
         read_log(tmp_path / "pipe")
-    monkeypatch.setattr("agents.plant.reader.MOST_BYTES", 100)
+    monkeypatch.setattr("agents.records.workbook.MOST_SHEET_ROWS", 3)
+    many = b"<row></row>" * 10
+    for row in (many, many.replace(b"row", b"x:row")):
+        path.write_bytes(with_part(b"</sheetData>", row + b"</sheetData>"))
+        with pytest.raises(FileError, match=r"sheet2\.xml has more than 3 rows or texts"):
+            read_log(path, sheet="Messung")
+    monkeypatch.setattr("agents.records.reader.MOST_BYTES", 100)
     with pytest.raises(FileError, match="bytes are more than the 100"):
         read_log(path)
 

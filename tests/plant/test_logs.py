@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from agents.cli import main
 from agents.plant.cleaning import Bounds
 from agents.plant.logs import read_log
-from agents.plant.quantities import QUANTITIES, quantity_of, si_factor, split_head
 from agents.policies.catalogue import make_policy
+from agents.records.quantities import QUANTITIES, quantity_of, si_factor, split_head
 from agents.records.shipped import file_or_shipped, shipped_names
 from probe_env import TaskConfig
 from probe_env.schedule import Schedule
@@ -94,12 +94,13 @@ def test_units_convert():
         "air_supply": {
             "Nm³/h": 1 / 3600.0, "l/min": 1e-3 / 60.0, "Nl/min": 1e-3 / 60.0, "m^3/s": 1.0, "ft3/min": 0.3048**3 / 60.0,
             "SCFM": 0.3048**3 / 60.0, "cfm": 0.3048**3 / 60.0, "SLPM": 1e-3 / 60.0, "M3/H": 1 / 3600.0,
+            "NM3/H": 1 / 3600.0, "Sm3/h": 1 / 3600.0, "ACFM": 0.3048**3 / 60.0,
         },
         "root_tension": {"kN": 1e3, "lbf": 4.4482216152605, "LBF": 4.4482216152605, "KN": 1e3, "daN": 10.0},
         "radial_acceleration_rms": {"g": 9.80665, "mg": 9.80665e-3, "m/s² rms": 1.0},
         "rf_noise_rms": {"µm": 1e-6, "μm": 1e-6},
         "inserted_length": {"mm": 1e-3, "ft": 0.3048},
-        "time": {"ms": 1e-3, "S": 1.0, "MIN": 60.0, "d": 86400.0, "Std.": 3600.0, "sek": 1.0},
+        "time": {"ms": 1e-3, "S": 1.0, "MIN": 60.0, "d": 86400.0, "Seconds": 1.0, "Std.": 3600.0, "sek": 1.0},
     }  # fmt: skip
     found = {name: {unit: si_factor(unit, QUANTITIES[name]) for unit in units} for name, units in expected.items()}
     for name, units in expected.items():

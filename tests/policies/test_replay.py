@@ -2,16 +2,19 @@
 
 import gymnasium as gym
 import numpy as np
+import openpyxl
 import pytest
 
 from agents.plant.logs import read_log
 from agents.policies.catalogue import make_policy
 from agents.policies.fixed import Replayed, Scheduled
+from agents.records.reader import read_withdrawal
 from agents.records.shipped import file_or_shipped
 from probe_env import Context, TaskConfig
 from probe_env.envs.episodes import Episodes
 from probe_env.envs.trials import PolicyBatch
 from probe_env.fidelity import PRESETS
+from probe_env.files import FileError
 from probe_env.schedule import Schedule
 
 HEAD = "time_s,inserted_length_m,feed_speed_m_per_s,air_supply_m3_per_h\n"
@@ -173,3 +176,67 @@ def test_the_example_log_is_followed_in_an_episode(tmp_path):
     assert time[-1] == pytest.approx(log.time[-1], abs=2.0)
     assert info["episode_kpis"]["complete"] == 1.0
     assert info["reward_terms"]["uninspected"] == 0.0
+
+
+OTHER_SCHEDULES = {
+    "decimal commas": "Länge [m];Vorschub [mm/s];Luft [m³/h]\n5,0;200,0;63,0\n25,5;150,0;108,0\n;;\n",
+    "the columns of a schedule": "inserted_length_m;feed_speed_m_per_s;air_supply_m3_per_h\n5;0,2;63\n25,5;0,15;108\n",
+    "tabs and words": "Inserted Length m\tFeed Speed m/s\tAir Flow m3/h\tNote\n5\t0.2\t63\ta\n25.5\t0.15\t108\tb\n",
+    "commas and words": 'Length [mm],"Feed\n[m/min]",Air [l/min],\n5000,12,1050,\n25500,9,1800,\n',
+}
+
+
+def test_schedules_are_read_as_logs_are(tmp_path):
+    path, config = tmp_path / "mine.csv", TaskConfig()
+    expected = ((5.0, 25.5), pytest.approx((0.2, 0.15)), pytest.approx((63.0 / 3600.0, 0.03)))
+    for name, text in OTHER_SCHEDULES.items():
+        path.write_text(text, encoding="utf-8")
+        schedule = make_policy(str(path), config).schedule
+        assert (schedule.position, schedule.feed_speed, schedule.air_supply_rate) == expected, name
+        assert (schedule.over, schedule.interpolation) == ("inserted_length", "linear")
+    book = openpyxl.Workbook()
+    for row in (["Länge", "Vorschub", "Luft"], ["m", "mm/s", "m³/h"], [5, 200, 63], [25.5, 150, 108]):
+        book.active.append(row)
+    book.save(tmp_path / "mine.xlsx")
+    schedule = make_policy(str(tmp_path / "mine.xlsx"), config).schedule
+    assert (schedule.position, schedule.feed_speed, schedule.air_supply_rate) == expected
+    path.write_text(
+        "# interpolation: steps\nZeit;Weg [m];Vorschub [m/s];Luft [m3/h]\n9:59:50;5;0,2;63\n10:00:00;7;0,1;63"
+    )
+    schedule = make_policy(str(path), config).schedule
+    assert (schedule.over, schedule.interpolation, schedule.start_length) == ("time", "steps", 5.0)
+    assert (schedule.position, schedule.feed_speed) == ((0.0, 10.0), (0.2, 0.1))
+
+
+def test_a_withdrawal_is_read_as_logs_are(tmp_path):
+    path = tmp_path / "mine.csv"
+    head = "Length [m];Feed [m/s];Air [m3/h];Return feed [mm/s];Return air [m3/h]"
+    path.write_text(f"{head}\n5;0,2;63;300;36\n25;0,2;63;400;54\n")
+    back = read_withdrawal(path)
+    assert (back.position, back.feed_speed) == ((5.0, 25.0), pytest.approx((0.3, 0.4)))
+    assert back.air_supply_rate == pytest.approx((0.01, 0.015))
+    path.write_text("Length [m];Feed [m/s];Air [m3/h];Return feed [mm/s]\n5;0,2;63;300\n")
+    with pytest.raises(FileError, match="go together"):
+        read_withdrawal(path)
+    path.write_text(OTHER_SCHEDULES["decimal commas"], encoding="utf-8")
+    assert read_withdrawal(path) is None
+
+
+def test_errors_in_schedules_name_their_cause_and_no_option_of_other_commands(tmp_path):
+    path, heads = tmp_path / "mine.csv", "correct the file: a schedule has heads like 'length [m]'"
+    for text, problem in {
+        "length;feed;air\n5;0,2;63": f"column 'length' has no unit - {heads}",
+        "length [m];feed [m/s]\n5;0,2": f"no column for air_supply; found: 'length [m]', 'feed [m/s]' - {heads}",
+        "length [m];feed [kg];air [m3/h]\n5;1;1": "'kg' is not a unit of feed_speed - convert the column to m/s",
+        "length [m];feed [m/s];air [m3/h]\n5;;63": "line 2, column 'feed [m/s]': no value",
+        "length [m];feed [m/s];air [m3/h]\n5;0,2;63\n5;1,0;63": "line 3, inserted_length_m = 5.0 must be greater than",
+        "length [m];feed [m/s];air [m3/h]\n5;-0,2;63": "line 2, feed_speed_m_per_s = -0.2 is outside the accepted",
+        "length [m];feed [m/s];air [m3/h]\n5,000;1;63": "'5,000' is ambiguous: decimal sign or thousands separator -",
+        "hello\nworld": "line 1: no header with two known quantities",
+        "inserted_length_m,feed_speed_m_per_s,air_supply_m3_per_h\n5,0,2,63": "4 values for 3 columns - semicolons or",
+    }.items():
+        path.write_text(text)
+        with pytest.raises(FileError) as caught:
+            make_policy(str(path), TaskConfig())
+        assert problem in str(caught.value)
+        assert "--" not in str(caught.value)

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import os
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from agents.records import manifest
 from agents.records.manifest import write_json, write_manifest
 from agents.records.models import complete
 from agents.records.tables import read_csv
-from probe_env.files import FileError, one_line, read_text
+from probe_env.files import FileError, one_line, read_bytes, read_text
 
 ROOT = Path(__file__).parents[2]
 
@@ -110,3 +111,19 @@ def test_texts_and_errors(tmp_path):
     assert one_line("a\nb\x1b[31m\u202e") == "a; b\\x1b[31m\\u202e"
     assert len(one_line("x" * 10**6)) < 2100
     assert str(FileError("a\nb", "c\nd")).isprintable()
+
+
+def test_a_file_is_read_whatever_size_the_system_reports(tmp_path, monkeypatch):
+    path, fstat = tmp_path / "file", os.fstat
+    path.write_bytes(b"0123456789")
+    for reported in (10, 4, 0):  # a file that grows, and one of /proc
+
+        def shorter(handle, reported=reported):
+            status = list(fstat(handle))
+            status[6] = reported
+            return os.stat_result(status)
+
+        monkeypatch.setattr("probe_env.files.os.fstat", shorter)
+        assert read_bytes(path, 10) == b"0123456789"
+        with pytest.raises(FileError, match=r"more than the 9|10 bytes are more than the 9"):
+            read_bytes(path, 9)

@@ -92,7 +92,11 @@ class Page:
         self._changes = -1
 
     def tick(self) -> None:
-        """Show the changes of the queue when the last update has been painted, or when a run begins or ends."""
+        """Show files that were read, and changes of the queue.
+
+        These wait until the last update has been painted, except the begin and the end of a run.
+        """
+        self.schedule.collect()
         changes, state = self.session.app.queue.changes, self.session.run.state if self.session.run else ""
         painted = self.painted.value == self.sent.value or time.monotonic() - self._sent_at > PATIENCE
         if changes != self._changes and (painted or state != self._state):

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from concurrent.futures import Future
+from concurrent.futures.process import BrokenProcessPool
+from functools import partial
 from html import escape
 from pathlib import Path
 from typing import Any, Final
@@ -14,7 +18,8 @@ from agents.app.screens import widgets as ui
 from agents.app.screens.charts import MM, empty_source
 from agents.app.state import Session
 from agents.evaluation.report import limit_of
-from agents.records.shipped import policy_file, shipped_names
+from agents.records.reader import read_schedule
+from agents.records.shipped import file_or_shipped, policy_file, shipped_names, ships
 from probe_env.schedule import AIR, FEED, Schedule
 
 MOVED_JS: Final = """
@@ -46,6 +51,8 @@ class ScheduleScreen(ui.Screen):
         self.lines = empty_source(("name", "colour", "dash", "length", FEED, AIR))
         self.summary = ui.Text()
         self._busy = False
+        self._log: Line | None = None
+        self._reading: dict[str, tuple[Future[Any], Callable[[Any], None]]] = {}  # files, and what to do with them
         self.length_range = models.Range1d(0.0, 60.0)
         self.charts = [self._editable(FEED, "feed speed [m/s]"), self._editable(AIR, "air supply [m³/h]")]
         label = "predicted radial rms [mm]"
@@ -65,7 +72,8 @@ class ScheduleScreen(ui.Screen):
         self.kind = ui.control(models.Select, "between points", self._interpolated, 135, **choice)
         choice = {"options": [*schedules.BY_LENGTH, *shipped_names("schedules")], "value": ["constant"]}
         self.overlay = ui.control(models.MultiChoice, "overlay", overlays, 260, **choice)
-        self.log = ui.control(models.TextInput, "overlay of a log", overlays, placeholder="rig.csv or example-rig")
+        log = self.guarded(self._read_log)
+        self.log = ui.control(models.TextInput, "overlay of a log", log, placeholder="rig.csv or example-rig")
         self.layout = ui.column(
             ui.Text(INTRO),
             ui.row(self.open, self.save, self.kind, self.overlay, self.log),
@@ -170,10 +178,36 @@ class ScheduleScreen(ui.Screen):
             f" {len(self.case.contexts)} tubes; run the schedule for the simulated result.</p>"
         )
 
+    def collect(self) -> None:
+        """Show the files that have been read."""
+        for kind, (future, show) in list(self._reading.items()):
+            if future.done():
+                del self._reading[kind]
+                self.guarded(partial(self._finish, future, show))()
+
+    def _finish(self, future: Future[Any], show: Callable[[Any], None]) -> None:
+        try:
+            show(future.result())
+        except BrokenProcessPool as error:
+            raise ValueError("the process that read the file was killed: is the file too large?") from error
+
+    def _read(self, read: Callable[[Path], Any], path: Path, show: Callable[[Any], None]) -> None:
+        self._reading[read.__name__] = schedules.read_in_child(read, path), show
+        self.problem.text = f"<p class='quiet'>reading {escape(str(path))} ...</p>"
+
+    def _read_log(self) -> None:
+        self._show_log(None)
+        if name := self.log.value.strip():
+            self._read(schedules.log_line, file_or_shipped("logs", name), self._show_log)
+
+    def _show_log(self, line: Line | None) -> None:
+        self._log = line
+        self._show_overlays()
+
     def _show_overlays(self) -> None:
         lines: dict[str, Line] = {name: schedules.policy_line(name, self.case) for name in self.overlay.value}
-        if self.log.value.strip():
-            lines["log"] = schedules.log_line(Path(self.log.value.strip()))
+        if self._log:
+            lines["log"] = self._log
         numbers = [1 + k % 7 for k in range(len(lines))]
         self.lines.data = {
             "name": list(lines),
@@ -194,8 +228,19 @@ class ScheduleScreen(ui.Screen):
             length, feed, air = (tuple(map(float, values[::every])) for values in line)
             self.session.points = schedules.points_of(Schedule("inserted_length", "linear", length, feed, air))
             self.session.name = f"my-{name}"
+            self._show_opened()
+            return
+        path = Path(policy_file(name))
+        if ships("schedules", path):
+            self._take(path, Schedule.read(path))
         else:
-            self.session.open_schedule(Path(policy_file(name)))
+            self._read(read_schedule, path, lambda schedule: self._take(path, schedule))
+
+    def _take(self, path: Path, schedule: Schedule) -> None:
+        self.session.open_schedule(path, schedule)
+        self._show_opened()
+
+    def _show_opened(self) -> None:
         self.kind.value, self.save.value = self.session.interpolation, self.session.name
         self._put(self.session.points)
 

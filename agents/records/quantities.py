@@ -33,8 +33,8 @@ class Quantity(NamedTuple):
 
 _LENGTH, _FEED, _AIR = POSITIONS["inserted_length_m"][1], RANGES[FEED][1], RANGES[AIR][1] / HOUR
 _TIME_HEADS: Final = (
-    "t, timestamp, time stamp, datetime, date time, elapsed time, zeit, zeitstempel, uhrzeit, zeitpunkt, datum uhrzeit,"
-    " messzeit, x value, time time"
+    "t, timestamp, time stamp, datetime, date time, date&time, elapsed time, zeit, zeitstempel, uhrzeit, zeitpunkt,"
+    " datum uhrzeit, messzeit, x value, time time"
 )
 _LENGTH_HEADS: Final = (
     "insertion length, length, position, encoder, encoder position, länge, laenge, weg, weggeber, drehgeber,"
@@ -59,27 +59,39 @@ _ALL = (
     Quantity("radial_acceleration_rms", "m/s2", "m/s**2", 0.0, 1e6, _RADIAL_HEADS, rms=True),
     Quantity("axial_acceleration_rms", "m/s2", "m/s**2", 0.0, 1e6, _RADIAL_HEADS.replace("radial", "axial"), rms=True),
     Quantity("rf_noise_rms", "m", "m", 0.0, 1.0, _NOISE_HEADS, rms=True),
+    Quantity("return_feed_speed", "m/s", "m/s", 0.0, _FEED, "return feed, return speed"),
+    Quantity("return_air_supply", "m3/h", "m**3/s", 0.0, _AIR, "return air, return air flow", scale=1.0 / HOUR),
 )
 QUANTITIES: Final[Mapping[str, Quantity]] = {quantity.name: quantity for quantity in _ALL}
-MEASURED: Final = tuple(QUANTITIES)[4:]
+MEASURED: Final = tuple(QUANTITIES)[4:-2]
 """Quantities that a log may lack."""
+RETURN: Final = tuple(QUANTITIES)[-2:]
+"""Quantities of withdrawal in a schedule."""
 DATE: Final = "date"
 """Date of a clock time in another column."""
+FRACTION: Final = "fraction"
+"""Fraction of a second of a time in another column."""
+FRACTION_UNITS: Final = dict.fromkeys(("ms", "msec", "millisecond", "milliseconds", "millisekunden"), "ms") | {
+    "fraction": "s", "time fraction": "s", "fractional seconds": "s"
+}  # fmt: skip
+"""Heading -> unit."""
 IGNORED: Final = "none"
 """Columns that are left out."""
-NAMES: Final = (*QUANTITIES, DATE, IGNORED)
+NAMES: Final = (*(name for name in QUANTITIES if name not in RETURN), DATE, FRACTION, IGNORED)
 """Names accepted by ``--columns``."""
-_HEADS: Final = {DATE: "day, datum, tag, messdatum"} | {name: q.heads for name, q in QUANTITIES.items()}
+_HEADS: Final = {DATE: "day, datum, tag, messdatum", FRACTION: ", ".join(FRACTION_UNITS)} | {
+    name: q.heads for name, q in QUANTITIES.items()
+}
 _BY_HEAD: Final = {
     head: name for name, heads in _HEADS.items() for head in (name.replace("_", " "), *heads.split(", "))
 }
 
 _UNIT: Final = re.compile(r"\s*(?:\[([^\[\]]*)\]|\(([^()]*)\)|\bin\s+([^\s\[\]()]+))\s*$")
 """At the end of a head: [mm/s], (m3/h), in mm/s."""
-_TOKEN: Final = "(?:ms|min|mm|cm|um|µm|m3|ft|kn|[smhnlg])"
+_TOKEN: Final = "(?:ms|sec|min|mm|cm|um|µm|n?m3|ft|in|kn|lbf|s?cfm|s?lpm|fpm|[smhnlg])"
 _SUFFIX: Final = re.compile(rf"(.+?)_({_TOKEN}(?:_per_{_TOKEN}2?)?)$")
-_BEHIND: Final = re.compile(rf"(.+)\s(/\s*)?({_TOKEN}(?:/{_TOKEN}[2²]?)?|m³(?:/{_TOKEN})?)", re.IGNORECASE)
-"""A unit behind a space: "Feed Speed m/s", "Weg / mm"."""
+_BEHIND: Final = re.compile(rf"(.+?),?(?:\s+|\s*/\s*)({_TOKEN}(?:/{_TOKEN}[2²]?)?|n?m³(?:/{_TOKEN})?)", re.IGNORECASE)
+"""A unit behind a space or slash: "Feed Speed m/s", "Weg / mm", "Tension, N"."""
 _CAPITALS: Final = {"n": "N", "kn": "kN"}
 
 _CLOCK_FORM: Final = re.compile(r"[ymdhstj]+(?:[:./ -]+[ymdhstjf0]+)+", re.IGNORECASE)
@@ -92,11 +104,15 @@ _SHAPE: Final = re.compile(r"[A-Za-zµ_]+(?:\*\*-?[1-3])?(?:[*/ ][A-Za-zµ_]+(?:
 """Units that are passed to pint, which would also compute powers of large numbers."""
 _WORDS: Final = {
     "sek": "s", "sec": "s", "sekunden": "s", "minuten": "min", "std": "h", "stunden": "h", "tage": "d",
-    "scfm": "ft**3/min", "cfm": "ft**3/min", "slpm": "l/min", "lpm": "l/min", "fpm": "ft/min", "kn": "kN", "dan": "daN",
+    "msec": "ms", "hrs": "h",
+    "scfm": "ft**3/min", "cfm": "ft**3/min", "acfm": "ft**3/min", "scfh": "ft**3/h",
+    "slpm": "l/min", "lpm": "l/min", "nlpm": "l/min", "slm": "l/min",
+    "fpm": "ft/min", "fps": "ft/s", "ipm": "inch/min", "ips": "inch/s", "cmh": "m**3/h",
+    "kn": "kN", "dan": "daN", "kp": "kgf",
 }  # fmt: skip
 _OF_DIMENSION: Final = {
     "m/s**2": (r"^(m?)(?:g|G|gn|g_n)$", lambda match: f"{'milli' * bool(match[1])}standard_gravity"),
-    "m**3/s": (r"^[Nn](?=(?:m\*\*3|[lL])(?:/|$))", lambda _: ""),  # normal cubic metres and litres
+    "m**3/s": (r"^[NnSs](?=(?:[mM]\*\*3|[lL])(?:/|$))", lambda _: ""),  # normal or standard
 }
 """SI unit -> pattern of a unit that pint misreads, and its replacement."""
 
@@ -110,19 +126,21 @@ def split_head(head: str) -> tuple[str, str]:
         unit = suffix[2].replace("_per_", "/")
         return head.strip()[: suffix.end(1)], _CAPITALS.get(unit, unit)
     if (behind := _BEHIND.fullmatch(head.strip())) and plain(behind[1]) in _BY_HEAD:
-        return behind[1].strip(), behind[3]
+        return behind[1].strip(), behind[2]
     return head.strip(), ""
 
 
 def plain(words: str) -> str:
     """Words of a heading for comparison: lower case, single spaces."""
-    return re.sub(r"[\s_.\-:/]+", " ", words).strip().casefold()
+    return re.sub(r"[\s_.,\-:/]+", " ", words).strip().casefold()
 
 
 def quantity_of(head: str) -> str | None:
     """Quantity (or ``DATE``) of a heading; None if it is unknown."""
     words = plain(split_head(head)[0])
-    return _BY_HEAD.get(words) or _BY_HEAD.get(re.sub(r" (?:rms|eff|effektiv)$", "", words))
+    if mean := _BY_HEAD.get(re.sub(r" (?:avg|mean|smp)$", "", words)):
+        return mean if mean not in QUANTITIES or not QUANTITIES[mean].rms or words in _BY_HEAD else None
+    return _BY_HEAD.get(re.sub(r" (?:rms|eff|effektiv)$", "", words))
 
 
 class ColumnOption(NamedTuple):
@@ -161,7 +179,7 @@ class UnknownUnitError(ValueError):
 
 
 def si_factor(unit: str, quantity: Quantity) -> float:
-    """Factor from ``unit`` to the SI unit of a quantity, by pint. Capitals may stand for small letters: M/MIN.
+    """Factor from ``unit`` to the SI unit of a quantity, by pint. Capitals may stand for small letters: M/MIN, Seconds.
 
     Raises:
         UnknownUnitError: an unknown unit.
@@ -170,9 +188,9 @@ def si_factor(unit: str, quantity: Quantity) -> float:
     """
     if unit == quantity.unit:
         return quantity.scale
-    text = re.sub(r"\s+(?:rms|eff\.?)$", "", unit.strip(), flags=re.IGNORECASE).translate(_SUPERSCRIPTS)
+    text = re.sub(r"\s+(?:rms|eff\.?)$", "", unit.strip().rstrip("."), flags=re.IGNORECASE).translate(_SUPERSCRIPTS)
     text = _POWER.sub(r"**\1", re.sub(r"\s*([/*])\s*", r"\1", text))
-    text = _WORDS.get(text.rstrip(".").lower(), text)
+    text = _WORDS.get(text.lower(), text)
     if quantity.si in _OF_DIMENSION:
         text = re.sub(*_OF_DIMENSION[quantity.si], text)
     scale = f"convert the column to {quantity.unit} in the file, or leave it out, --columns 'HEAD={IGNORED}'"
@@ -184,7 +202,8 @@ def si_factor(unit: str, quantity: Quantity) -> float:
     import pint
 
     problems: list[Exception] = []
-    for spelling in dict.fromkeys((text, text.lower() if text.isupper() else text)):
+    any_case = text.isupper() or (text.istitle() and len(text) > 3)
+    for spelling in dict.fromkeys((text, text.lower() if any_case else text)):
         try:
             return float(pint.Quantity(1.0, pint.Unit(spelling)).to(quantity.si).magnitude)
         except (pint.PintError, ValueError, TypeError, ArithmeticError, AttributeError) as error:
@@ -199,4 +218,4 @@ def looks_like_unit(cell: str) -> bool:
     text = cell.strip("[]() ").translate(_SUPERSCRIPTS)
     if _CLOCK_FORM.fullmatch(text):
         return True
-    return not text.isdigit() and re.fullmatch(rf"[A-Za-zµ°%/*^ \d-]{{0,{LONGEST_UNIT}}}", text) is not None
+    return not text.isdigit() and re.fullmatch(rf"[A-Za-zµ°%/*^ \d-]{{0,{LONGEST_UNIT}}}\.?", text) is not None

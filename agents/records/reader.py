@@ -1,34 +1,35 @@
-"""Reads log files: text with any separator and encoding, or an Excel sheet, as columns in SI units.
+"""Reads logs and schedules: text with any separator and encoding, or an Excel sheet, as columns in SI units.
 
-``_decoded`` or ``_sheet_lines`` give lines, ``_table_of`` splits them, ``read_channels`` converts the columns.
+``_decoded`` or ``sheet_lines`` give lines, ``_table_of`` splits them, ``_convert`` converts the columns.
 """
 
 from __future__ import annotations
 
 import codecs
 import csv
-import io
+import math
 import re
-import warnings
-import zipfile
+import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from datetime import datetime, time
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from agents.plant.quantities import (
+from agents.records.quantities import (
     DATE,
+    FRACTION,
+    FRACTION_UNITS,
     IGNORED,
     MEASURED,
     NAMES,
     QUANTITIES,
+    RETURN,
     ColumnOption,
     Quantity,
     UnknownUnitError,
@@ -38,34 +39,43 @@ from agents.plant.quantities import (
     si_factor,
     split_head,
 )
-from agents.plant.times import (
+from agents.records.times import (
     DAY,
+    MINUTES,
     MISSING,
     MORE_THAN_NUMBER,
     CellError,
     are_serial_days,
     check,
+    days_of,
     matches,
     seconds,
-    with_dates,
 )
+from agents.records.workbook import MOST_COLUMNS, OLD_EXCEL, ZIP, sheet_lines
 from probe_env.arrays import FloatArray
-from probe_env.files import MEBI, FileError, read_bytes
-from probe_env.schedule import CSV_COMMENT
+from probe_env.files import MEBI, FileError, open_regular, read_bytes
+from probe_env.schedule import AIR, CSV_COMMENT, FEED, POSITIONS, Schedule, schedule_of_rows, withdrawal_of_rows
 
 IntArray = npt.NDArray[np.integer]
 MOST_BYTES: Final = 256 * MEBI
 MOST_ROWS: Final = 5_000_000
-MOST_COLUMNS: Final = 256
 HEAD_WITHIN: Final = 200
 """Number of non-empty lines within which the header must be."""
 HEADS_SHOWN: Final = 12
+_OPEN_QUOTE: Final = re.compile(r'(?:^|[;,\t|])\s*"[^"]*$')
+MOST_WRAPPED: Final = 5
+"""Line breaks within the quotes of a cell."""
 
 SEPARATORS: Final = {";": "';'", "\t": "tabs", "|": "'|'", ",": "','", " ": "spaces"}
 _CONTROL: Final = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f]")
-_COMMENT: Final = r"^\s*[#%!]|^[\s|:+=-]*$"
-"""Comments, empty lines, and lines of dashes between header and rows."""
-_SPACED_TIME: Final = r"(\d{4}-\d\d-\d\d|\d\d\.\d\d\.\d{4})[ \t]+(\d\d:\d\d)"
+_COMMENT: Final = r"^\s*[#%!]|^[\s|:;,+=-]*$"
+"""Comments, empty lines, also of separators, and lines of dashes between header and rows."""
+_TOO_NARROW: Final = r"^\s*#{2,}\s*[;,\t|]"
+"""A cell of ####, as Excel writes a time in a narrow column."""
+_SPACED_TIME: Final = (
+    r"(\d{1,4}[-/.]\w{1,3}[-/.]\d{1,4})[ \t]+(\d{1,2}:\d\d)", r"\1T\2"
+), (r"(?i)(:\d\d(?:[.,]\d+)?)[ \t]+([ap]\.?m)\b", r"\1\2")  # fmt: skip
+"""Date and clock, and clock and AM, which belong together in a file of spaces."""
 _END_PIPES: Final = r"^\s*\||\|\s*$"
 _NUMBER_OR_TIME: Final = re.compile(r"[+-]?[\d.,'  ]*\d[\d.,'  ]*(?:[eE][+-]?\d+)?|\d[\d:.,TZ +-]*:[\d:.,TZ +-]*")
 _MARKER: Final = re.compile(
@@ -82,13 +92,6 @@ FAR: Final = 10.0
 """Ratio of an overload code to the largest other value."""
 _SPACES: Final = "[ '’\u00a0\u2009\u202f]"
 _POWER: Final = r"(?:[eE][+-]?\d+)"
-
-ZIP: Final = b"PK\x03\x04"
-OLD_EXCEL: Final = b"\xd0\xcf\x11\xe0"
-MOST_UNPACKED: Final = 512 * MEBI
-MOST_TEXT: Final = 256 * MEBI
-MOST_EMPTY: Final = 10_000
-"""Limit of empty rows; a small file can hold millions."""
 
 
 @dataclass(frozen=True)
@@ -124,7 +127,16 @@ class Channels:
     time: FloatArray  # (rows,) seconds from any origin
     values: Mapping[str, FloatArray]  # quantity -> (rows,)
     indices: Mapping[str, int]  # quantity -> index of its column
-    notes: tuple[str, ...] = ()  # what was taken as missing or as days
+    notes: tuple[str, ...] = ()  # what was taken as missing or as days, or left out
+    written_out: bool = False  # whether times are clock times or timestamps, not numbers
+
+
+class Converted(NamedTuple):
+    """Columns in SI units."""
+
+    values: dict[str, FloatArray]  # quantity -> (rows,)
+    notes: tuple[str, ...]
+    written_out: bool
 
 
 def read_channels(
@@ -134,8 +146,9 @@ def read_channels(
     decimal: str,
     air: float | None,
     missing: Sequence[str] = (),
+    time_format: str = "",
 ) -> Channels:
-    """Read the quantities of a text file or of a sheet of a workbook.
+    """Read the quantities of a log from a text file or from a sheet of a workbook.
 
     Args:
         path: file.
@@ -144,42 +157,141 @@ def read_channels(
         decimal: "." or ","; empty: detected.
         air: air of a log without that column [m3/s].
         missing: texts and numbers that mark missing values, in addition to NaN, -999.25 and the like.
+        time_format: form of the times for ``strptime``, with the date of another column and a space before it; empty:
+            detected.
 
     Raises:
         FileNotFoundError: no such file.
         FileError: not a text or workbook; no such sheet; no header or rows; a column that is missing, occurs twice or
             has no unit; a cell that is not a number or time, or out of range; too large.
+        ValueError: ``time_format`` is not a form.
         ModuleNotFoundError: openpyxl or pint is not installed.
     """
     table = _read_table(path, sheet, options)
     indices, units = _indices(table, options)
-    date = indices.pop(DATE, None)
-    for names in (("time",), ("feed_speed", "inserted_length"), ("air_supply",)):
-        if not any(name in indices for name in names) and (names != ("air_supply",) or air is None):
+    _require(table, indices, (("time",), ("feed_speed", "inserted_length"), ("air_supply",)[: air is None]))
+    for name in RETURN:
+        indices.pop(name, None)
+    values, notes, written_out = _convert(table, indices, units, decimal, missing, time_format)
+    if "air_supply" not in values and air is not None:
+        values["air_supply"] = np.full(len(table.lines), air)
+    return Channels(table, values.pop("time"), values, indices, notes, written_out)
+
+
+def read_schedule(path: str | Path) -> Schedule:
+    """Read a schedule; it may have the headings, units, separators and the workbook that a log may have.
+
+    Raises:
+        FileNotFoundError, FileError: as ``Schedule.read`` and ``read_channels``.
+        ModuleNotFoundError: openpyxl or pint is not installed.
+    """
+    rows = _schedule_rows(Path(path))
+    return schedule_of_rows(Path(path), *rows) if rows else Schedule.read(path)
+
+
+def read_withdrawal(path: str | Path) -> Schedule | None:
+    """Read the withdrawal of a schedule; None if the file has none. Raises as ``read_schedule``."""
+    rows = _schedule_rows(Path(path))
+    return withdrawal_of_rows(Path(path), *rows) if rows else Schedule.read_withdrawal(path)
+
+
+def _schedule_rows(path: Path) -> tuple[str, list[tuple[str, dict[str, float]]]] | None:
+    """Interpolation and rows of a schedule with other heads, separators or units than ``Schedule.read`` needs."""
+    if path.suffix == ".toml" or _has_schedule_columns(path):
+        return None
+    try:
+        table = _read_table(path, None, ())
+        indices, _ = _indices(table, ())
+        _require(table, indices, (("inserted_length", "time"), ("feed_speed",), ("air_supply",)))
+        used = ("time", DATE, FRACTION, "inserted_length", "feed_speed", "air_supply", *RETURN)
+        indices = {name: indices[name] for name in used if name in indices}
+        values = _convert(table, indices, {}, "", None).values
+    except FileError as error:
+        if "--" not in error.problem:  # an option of other commands
+            raise
+        problem = re.sub(r"(?:,|:|;| -) (?:or )?[^,:;-]*?[,:]? ?--.*", "", error.problem)
+        hint = "correct the file: a schedule has heads like 'length [m]', 'feed [m/s]' and 'air [m3/h]'"
+        raise FileError(path, f"{problem} - {hint}") from error
+    for name, column in values.items():
+        if (empty := np.isnan(column)).any():
+            raise table.error(int(empty.argmax()), "no value", indices[name])
+        values[name] = (column - (column[0] if name == "time" else 0.0)) / QUANTITIES[name].scale
+    columns = {QUANTITIES[name].column: [float(f"{v:.12g}") for v in column] for name, column in values.items()}
+    rows = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
+    places = (f"{table.row_word} {line}" for line in table.lines)
+    return "steps" if table.steps else "linear", list(zip(places, rows, strict=True))
+
+
+def _has_schedule_columns(path: Path) -> bool:
+    """Whether the header of a file has the columns of ``Schedule.read``, separated by commas."""
+    with open_regular(path, MOST_BYTES) as file:
+        lines = file.read(1 << 16).decode("utf-8-sig", "replace").splitlines()
+    header = next((line for line in lines if line.strip(" ,") and not line.startswith("#")), "")
+    names = {name.strip() for name in header.split(",")}
+    return {FEED, AIR} <= names and not names.isdisjoint(POSITIONS)
+
+
+def _require(table: Table, indices: Mapping[str, int], groups: Iterable[Sequence[str]]) -> None:
+    """Raise FileError unless there is a column for one name of each group."""
+    for names in groups:
+        if names and not any(name in indices for name in names):
             hint = "; or give a constant, --air-supply M3_PER_H" if names == ("air_supply",) else ""
             problem = f"no column for {' or '.join(names)}; found: {_listed(table.heads)}"
-            raise FileError(path, f"{problem} - name it: --columns 'HEAD={names[0]}'{hint}")
-    declared = {text: number for text in (*table.null, *missing) if (number := _plain_number(text)) is not None}
-    words = [text for text in missing if text not in declared]
+            raise FileError(table.path, f"{problem} - name it: --columns 'HEAD={names[0]}'{hint}")
+
+
+def _convert(
+    table: Table,
+    indices: dict[str, int],
+    units: Mapping[str, str],
+    decimal: str,
+    missing: Sequence[str] | None,
+    time_format: str = "",
+) -> Converted:
+    """Convert the columns at ``indices`` to SI units; arguments as ``read_channels``, ``missing`` None: no markers."""
+    date, fraction = indices.pop(DATE, None), indices.pop(FRACTION, None)
+    marked = (*table.null, *(missing or ()))
+    declared = {text: number for text in marked if (number := _plain_number(text)) is not None}
+    words = [text for text in marked if text not in declared]
+    notes = list(table.notes)
+    spare = missing is not None and {"feed_speed", "inserted_length"} <= set(indices) and "feed_speed" not in units
+    if spare:
+        try:
+            _factor(table, QUANTITIES["feed_speed"], indices["feed_speed"], units)
+        except FileError as error:
+            notes.append(_left_out(error))
+            del indices["feed_speed"]
     cells, column = {name: _without(table.columns[k], words) for name, k in indices.items()}, date
     values: dict[str, FloatArray] = {}
-    notes = list(table.notes)
+    days, written_out = None, False
     try:
-        if date is not None:
-            cells["time"] = with_dates(table.columns[date], cells["time"])
-        first = cells["time"].filter(pa.array(~matches(cells["time"], MISSING)))[:1]
-        written_out = matches(first, MORE_THAN_NUMBER).any()
+        if "time" in indices:
+            if date is not None:
+                days = days_of(table.columns[date], cells["time"], time_format)
+            first = cells["time"].filter(pa.array(~matches(cells["time"], MISSING)))[:1]
+            written_out = bool(time_format) or bool(matches(first, MORE_THAN_NUMBER).any())
         numbers = {name: k for name, k in indices.items() if not (written_out and name == "time")}
         factors = {name: _factor(table, QUANTITIES[name], k, units) for name, k in numbers.items()}
+        for name in numbers:
+            cells[name] = pc.replace_substring_regex(cells[name], r"^([+-])\s+", r"\1")  # a sign apart
         sign = decimal or _decimal_sign(table, {k: cells[name] for name, k in numbers.items()})
-        for name in indices:
-            column = indices[name]
+        for name, column in list(indices.items()):
+            head = table.heads[column]
             if name not in factors:
-                values[name] = seconds(cells[name])
+                values[name] = seconds(cells[name], time_format, days)
+                if not time_format and matches(first, MINUTES).any():
+                    notes.append(f"The column {head!r} is read as mm:ss; for hh:mm, --time-format %H:%M.")
                 continue
-            head, read = table.heads[column], np.array(_numbers(cells[name], sign))
+            try:
+                read = np.array(_numbers(cells[name], sign))
+            except CellError as error:
+                if not spare or name != "feed_speed":
+                    raise
+                notes.append(_left_out(table.error(error.row, error.problem, column)))
+                del indices[name]
+                continue
             known = () if name == "time" else [*declared.values()]
-            markers = _blank_markers(read, known, name in SUSPECT and not missing)
+            markers = [] if missing is None else _blank_markers(read, known, name in SUSPECT and not missing)
             if markers:
                 notes.append(f"The column {head!r} has missing values, marked by {', '.join(markers)}.")
             if name == "time" and not (units.get(name) or _written_unit(table, column)):
@@ -191,11 +303,31 @@ def read_channels(
                     problem = f"without a unit, rows are less than {SHORTEST_STEP:g} s apart"
                     raise CellError(0, f"{problem}: declare it, --columns '{plain(head)}=time[UNIT]' (s, min, h or d)")
             values[name] = _in_range(QUANTITIES[name], read * factors[name])
+        if fraction is not None and "time" in values:
+            column = fraction
+            values["time"] = values["time"] + _fractions(table, fraction, values["time"], units, sign)
     except CellError as error:
         raise table.error(error.row, error.problem, column) from None
-    if "air_supply" not in values and air is not None:
-        values["air_supply"] = np.full(len(table.lines), air)
-    return Channels(table, values.pop("time"), values, indices, tuple(notes))
+    return Converted(values, tuple(notes), written_out)
+
+
+def _left_out(error: FileError) -> str:
+    """Note about a feed speed that is not needed."""
+    return f"Left out, as there is an encoder: {re.split(' - |: declare', error.problem)[0]}."
+
+
+def _fractions(table: Table, k: int, time: FloatArray, units: Mapping[str, str], sign: str) -> FloatArray:
+    """Fractions of a second (rows,) from column ``k``; 0 if the times have their own or are no seconds."""
+    if (time[~np.isnan(time)] % 1.0).any():
+        return np.zeros(len(time))
+    head = table.heads[k]
+    unit = units.get(FRACTION) or _written_unit(table, k) or FRACTION_UNITS.get(plain(head), "")
+    if not unit:
+        raise FileError(table.path, f"column {head!r} has no unit: declare it, --columns '{plain(head)}=fraction[ms]'")
+    fractions = _numbers(table.columns[k], sign) * si_factor(unit, QUANTITIES["time"])
+    problem = f"is not a fraction of a second, 0 to less than 1 s: leave it out, --columns '{plain(head)}={IGNORED}'"
+    check(table.columns[k], ~((fractions < 0.0) | (fractions >= 1.0)), problem)
+    return fractions
 
 
 def _without(cells: Any, words: Sequence[str]) -> Any:
@@ -248,17 +380,26 @@ def _read_table(path: Path, sheet: str | None, options: Sequence[ColumnOption]) 
     if content.startswith(OLD_EXCEL):
         raise FileError(path, "a workbook of Excel before 2007: save it as .xlsx or as CSV")
     if content.startswith(ZIP):
-        return _table_of(path, _sheet_lines(path, content, sheet), options, "row")
+        return _table_of(path, sheet_lines(path, content, sheet), options, "row")
     if sheet is not None:
         raise FileError(path, f"not a workbook, so it has no sheet {sheet[:80]!r}: leave --sheet out")
     filled = content.rstrip(b"\0")
     cut = len(content) - len(filled) if b"\0" not in filled else 0  # else UTF-16 or not a text
-    lines, null = _decoded(path, content[: len(content) - cut]).split("\n"), tuple[str, ...]()
+    lines, null = _unwrapped(_decoded(path, content[: len(content) - cut]).split("\n")), tuple[str, ...]()
     if lines[0].upper().startswith("~V"):
         lines, null = _las_lines(path, lines)
     table = _table_of(path, lines, options, "line")
     notes = (f"{cut} NUL bytes behind the last line, as of a power cut, were cut off.",) if cut else ()
     return replace(table, null=null, notes=notes)
+
+
+def _unwrapped(lines: list[str]) -> list[str]:
+    """Lines in which those of a quoted cell with line breaks are joined, and the others empty."""
+    for k in [k for k, line in enumerate(lines) if '"' in line and _OPEN_QUOTE.search(line)]:
+        ends = [j for j, line in enumerate(lines[k + 1 : k + 1 + MOST_WRAPPED], k + 1) if line.count('"') % 2]
+        if ends and lines[k].count('"') % 2:
+            lines[k : ends[0] + 1] = [" ".join(lines[k : ends[0] + 1]), *[""] * (ends[0] - k)]
+    return lines
 
 
 def _las_lines(path: Path, lines: Sequence[str]) -> tuple[list[str], tuple[str, ...]]:
@@ -298,60 +439,12 @@ def _decoded(path: Path, content: bytes) -> str:
     else:
         raise FileError(path, f"line {line}: not a text file (byte 0x{byte:02x}): export it as text in UTF-8")
     text = text.rstrip("\x1a").replace("\r\n", "\n").replace("\r", "\n")  # end of file in DOS: Ctrl-Z
-    text = text.replace("\u2212", "-")
+    text = text.replace("\u2212", "-").replace("\u2013", "-")
     if control := _CONTROL.search(text):
         line = text.count("\n", 0, control.start()) + 1
         problem = f"not a text file: a control character (0x{ord(control[0]):02x})"
         raise FileError(path, f"line {line}: {problem} - export it as text")
     return text
-
-
-def _sheet_lines(path: Path, content: bytes, sheet: str | None) -> list[str]:
-    """Rows of a sheet as lines of cells, separated by tabs; formulas are replaced by their stored values."""
-    import openpyxl
-
-    try:
-        with zipfile.ZipFile(io.BytesIO(content)) as archive:
-            parts = archive.infolist()
-        unpacked = sum(part.file_size for part in parts)  # no more than the declared size is unpacked
-        if unpacked > MOST_UNPACKED:
-            size = f"{len(parts)} parts of {unpacked} bytes unpacked"
-            raise FileError(path, f"{size} are too large for a log: export it as CSV")
-        with warnings.catch_warnings(action="ignore"):  # of styles and extensions
-            book = openpyxl.load_workbook(io.BytesIO(content), read_only=True, data_only=True, keep_links=False)
-            names = [str(name) for name in book.sheetnames]
-            if sheet is not None and sheet not in names:
-                raise FileError(path, f"no sheet {sheet[:80]!r}; there are {', '.join(map(repr, names[:20]))}")
-            page = book[sheet if sheet is not None else names[0]]
-            if not hasattr(page, "reset_dimensions"):
-                raise FileError(path, f"{page.title!r} is a chart, not a sheet: --sheet names another")
-            page.reset_dimensions()  # a sheet may declare any size
-            return _joined(path, page.iter_rows(max_col=MOST_COLUMNS + 1, values_only=True))
-    except FileError:
-        raise
-    except Exception as error:  # a damaged workbook can raise any error
-        problem = f"not an Excel workbook that can be read ({type(error).__name__})"
-        raise FileError(path, f"{problem}: save it again") from error
-
-
-def _joined(path: Path, rows: Iterable[Sequence[Any]]) -> list[str]:
-    lines: list[str] = []
-    size = empty = 0
-    for number, row in enumerate(rows, start=1):
-        values = ("" if v is None else v.isoformat() if isinstance(v, datetime | time) else str(v) for v in row)
-        cells = [re.sub(r"[\x00-\x1f\x7f-\x9f]", " ", text) for text in values]
-        while cells and not cells[-1].strip():
-            cells.pop()
-        empty += not cells
-        size += sum(map(len, cells))
-        if empty > MOST_EMPTY:
-            raise FileError(path, f"row {number}: more empty rows than accepted ({MOST_EMPTY}): cut the sheet")
-        if len(cells) > MOST_COLUMNS:
-            raise FileError(path, f"row {number}: more than {MOST_COLUMNS} columns")
-        if size > MOST_TEXT:
-            raise FileError(path, f"row {number}: the sheet is too large for a log: cut it")
-        lines.append("\t".join(cells))
-    return lines
 
 
 def _table_of(path: Path, lines: list[str], options: Sequence[ColumnOption], word: str) -> Table:
@@ -373,10 +466,14 @@ def _table_of(path: Path, lines: list[str], options: Sequence[ColumnOption], wor
     ]
     best = max(candidates, key=lambda candidate: _named(candidate[2], options), default=None)
     if best is None or _named(best[2], options) < 2:
-        number, found = next(((k, cells) for k, _, cells in candidates if len(cells) > text), (1, list[str]()))
-        problem = f"no header with two known quantities; found: {_listed(found) or 'none'} - declare them"
-        names = f"--columns 'HEAD=QUANTITY', with QUANTITY one of {', '.join(NAMES)}"
-        raise FileError(path, f"{word} {number}: {problem}: {names}")
+        several = [(k, cells) for k, separator, cells in candidates if len(cells) > text and separator != " "]
+        several = several or [(k, cells) for k, _, cells in candidates if len(cells) > text][:1] or [(1, [])]
+        number, found = max(several, key=lambda row: sum(map(bool, row[1])))
+        problem = f"no header with two known quantities; found: {_listed(found) or 'none'}"
+        hint = f"declare them: --columns 'HEAD=QUANTITY', with QUANTITY one of {', '.join(NAMES)}"
+        if found and all(not cell or _NUMBER_OR_TIME.fullmatch(cell) for cell in found):
+            hint = "is the header missing? Write one above the rows, like 'time [s]', 'length [m]', 'air [m3/h]'"
+        raise FileError(path, f"{word} {number}: {problem} - {hint}")
     head, separator, _ = best
     heads = _split(_uncommented(lines[head - 1]), separator)
     if len(heads) > MOST_COLUMNS:
@@ -387,10 +484,12 @@ def _table_of(path: Path, lines: list[str], options: Sequence[ColumnOption], wor
     if not text:  # cells at the end of a row may be empty
         body = [line + "\t" * (len(heads) - 1 - line.count("\t")) for line in body]
     rows = pa.array(body, pa.large_string())
-    numbers = np.flatnonzero(~matches(rows, _COMMENT if text else r"^\s*$")) + head + 1
+    labels = next((line for line in lines[:head] if line.startswith("Y_Unit_Label")), "")  # of LabVIEW
+    skipped = matches(rows, _COMMENT if text else r"^\s*$") & ~matches(rows, _TOO_NARROW)
+    numbers = np.flatnonzero(~skipped) + head + 1
     below = _split(lines[numbers[0] - 1], separator) if len(numbers) else []
     filled_below = [cell for cell in below if cell]
-    units = [""] * len(heads)
+    units = [*["", *_split(labels, separator)[1:]][: len(heads)], *[""] * len(heads)][: len(heads)]
     if filled_below and all(looks_like_unit(cell) and not _NUMBER_OR_TIME.fullmatch(cell) for cell in filled_below):
         units = [*(cell.strip("[]() ") for cell in below), *units][: len(heads)]
         numbers = numbers[1:]
@@ -421,7 +520,9 @@ def _uncommented(line: str) -> str:
 def _split(line: str, separator: str) -> list[str]:
     """Cells of a header or a row of units."""
     if separator == " ":
-        return re.split(r"\s+(?![\[(])", re.sub(_SPACED_TIME, r"\1T\2", line).strip())  # a unit belongs to its word
+        for pattern, joined in _SPACED_TIME:
+            line = re.sub(pattern, joined, line)
+        return re.split(r"\s+(?![\[(])", line.strip())  # a unit belongs to its word
     if separator == "|":
         line = re.sub(_END_PIPES, "", line)
     cells = line.split(separator)
@@ -439,8 +540,9 @@ def _columns(
     if word == "line" and pc.any(pc.match_substring(lines, '"')).as_py():
         cells = pa.array(_quoted_rows(path, lines.to_pylist(), numbers, separator, count), pa.list_(pa.large_string()))
     elif separator == " ":
-        joined = pc.replace_substring_regex(lines, _SPACED_TIME, r"\1T\2")
-        cells = pc.utf8_split_whitespace(pc.utf8_trim_whitespace(joined))
+        for pattern, joined in _SPACED_TIME[any(quantity_of(head) == DATE for head in heads) :]:
+            lines = pc.replace_substring_regex(lines, pattern, joined)
+        cells = pc.utf8_split_whitespace(pc.utf8_trim_whitespace(lines))
     else:
         if separator == "|":
             lines = pc.replace_substring_regex(lines, _END_PIPES, "")
@@ -509,9 +611,17 @@ def _indices(table: Table, options: Sequence[ColumnOption]) -> tuple[dict[str, i
         if k in {*by_option.values(), *ignored} or quantity is None or quantity in by_option:
             continue
         if quantity in indices:
-            both = f"columns {table.heads[indices[quantity]]!r} and {head!r} are both {quantity}"
-            raise FileError(table.path, f"{both}: choose one, --columns 'HEAD={quantity}'")
+            first = indices[quantity]
+            if table.columns[k].equals(table.columns[first]):
+                continue
+            hint = (
+                f"choose one, --columns 'HEAD={quantity}'" if head != table.heads[first] else "rename one in the file"
+            )
+            both = f"columns {table.heads[first]!r} and {head!r} are both {quantity}"
+            raise FileError(table.path, f"{both}: {hint}")
         indices[quantity] = k
+    if "time" not in indices and not table.heads[0] and matches(table.columns[0][:1], MORE_THAN_NUMBER).all():
+        indices["time"] = 0  # the index of a table of pandas
     return indices, {option.quantity: option.unit for option in options if option.unit}
 
 
@@ -597,7 +707,7 @@ def _first(columns: Mapping[int, Any], pattern: str) -> tuple[int, int] | None:
 
 def _plain_number(text: str) -> float | None:
     with suppress(ValueError):
-        return float(text.replace(",", "."))
+        return number if math.isfinite(number := float(text.replace(",", "."))) else None
     return None
 
 
@@ -619,5 +729,8 @@ def _numbers(cells: Any, sign: str) -> FloatArray:
     good = (readable | missing) & ~np.isinf(values)
     if not good.all() and other in cells[int((~good).argmax())].as_py():
         hint = f" with the decimal sign {sign!r} of the other numbers{hint}"
+    word = next((text for text in cells.filter(pa.array(~good))[:1].to_pylist() if re.search("[A-Za-z]", text)), "")
+    if word and word.isprintable():
+        hint += f", or if it marks a missing value, --missing={shlex.quote(word[:40])}"
     check(cells, good, f"is not a finite number{hint}")
     return values
