@@ -22,6 +22,12 @@ COMMANDS: Final = {
     "study": ("studies:Study", "run a study by name or from a file"),
 }
 """Name -> module of ``agents.cli`` with dataclass, and the line on the first page."""
+NEEDS: Final = {
+    **dict.fromkeys(("train", "tune", "compare", "design"), "agents"),
+    **dict.fromkeys(("log", "calibrate"), "plant"),
+    "app": "app",
+}
+"""Commands that always need more than the extra ``commands`` -> their extra."""
 GROUPS: Final = {
     "Simulate and evaluate": ("simulate", "evaluate", "render", "signal", "agents"),
     "Train and design": ("train", "tune", "compare", "design", "study"),
