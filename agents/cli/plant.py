@@ -137,7 +137,7 @@ class Calibrate:
         print_calibration(calibration, with_file=self.tube is not None)
         print(f"written: {', '.join(map(str, (target, *pictures)))}")
         if calibration.misfits:
-            print("do not use this posterior: a tube.toml that names it gives a warning")
+            print("do not use this posterior: recommend refuses a tube.toml that names it")
         else:
             print(f'use it: posterior = "{target}" above the tables of your tube.toml')
 

@@ -17,7 +17,7 @@ COMMANDS: Final = {
     "log": ("plant:ReadLog", "read a rig's log and write it as a schedule"),
     "calibrate": ("plant:Calibrate", "estimate friction and other unknowns from logs"),
     "recommend": ("plant:Recommend", "schedule with the best expected reward for your plant"),
-    "plc": ("plant:Plc", "feedback law for a PLC: structured text or table"),
+    "plc": ("plant:Plc", "for a PLC: recommended schedule and feedback law"),
     "app": ("plant:App", "edit, run and compare schedules in the browser"),
     "study": ("studies:Study", "run a study by name or from a file"),
 }
