@@ -13,7 +13,7 @@ import numpy.typing as npt
 import tomli_w
 
 from probe_env.arrays import FloatArray
-from probe_env.scene import Probe, Scene
+from probe_env.scene import LENGTH_TOLERANCE, Probe, Scene
 from probe_env.settings import Model, quantity
 
 RANGES: Final[dict[str, tuple[float, float, str]]] = {
@@ -91,6 +91,18 @@ class Design(Model):
         low, high, _ = RANGES["guide_length"]
         floats = min(max(round(self.guide_length / pitch), int(np.ceil(low / pitch - 1e-9))), int(high / pitch + 1e-9))
         return self.model_copy(update={"float_pitch": pitch, "guide_length": round(floats * pitch, 6)})
+
+    def check_whole_pitches(self) -> None:
+        """Raise ValueError unless the pitch is in whole millimetres and the guide in whole pitches, as built."""
+        for name, step, of in (
+            ("float_pitch", 1e-3, "0.001 m"),
+            ("guide_length", self.float_pitch, f"float_pitch = {self.float_pitch:g} m"),
+        ):
+            value, (low, high, _) = getattr(self, name), RANGES[name]
+            if abs(value - step * round(value / step)) > LENGTH_TOLERANCE:
+                nearest = (round(step * count, 6) for count in (int(value / step), int(value / step) + 1))
+                accepted = " or ".join(f"{near:g} m" for near in nearest if low <= near <= high)
+                raise ValueError(f"{name} = {value:g} m is not a whole multiple of {of}: give {accepted}")
 
     def probe(self, base: Probe | None = None) -> Probe:
         """The probe of the design as built; other fields are those of ``base`` (default: table 2)."""

@@ -22,7 +22,10 @@ class SimulationError(RuntimeError):
         self.method, self.time_step, self.time, self.node = method, time_step, time, node
         self.distance_from_tip, self.stable_time_step = distance, stable
         if stable == 0.0:
-            hint = "no time step is known to be stable for this scene: increase probe.damping_time or nodes_per_pitch"
+            hint = (
+                f"no time step is known to be stable with {method} for this scene: try a shorter one, or increase"
+                " probe.damping_time or nodes_per_pitch"
+            )
         elif time_step > stable:
             hint = f"a time step of {stable:.2g} s or less is known to be stable for this scene"
         else:

@@ -33,7 +33,7 @@ def _run(arguments: Sequence[str]) -> int:
     from difflib import get_close_matches
     from importlib import import_module
 
-    from agents.cli.registry import COMMANDS, first_page
+    from agents.cli.registry import COMMANDS, NEEDS, first_page
 
     name = arguments[0] if arguments else ""
     if name in ("", "-h", "--help"):
@@ -70,10 +70,10 @@ def _run(arguments: Sequence[str]) -> int:
     except ImportError as error:
         # the message of Stable-Baselines3 begins with the name of the module
         module = (error.name or str(error)).replace(".", " ").partition(" ")[0]
-        extra = extra_with(module)
+        extra = extra_with(module, NEEDS.get(name, "commands"))
         if extra is None:
             raise
-        return _fail(f'this command needs {module}, which is not installed: pip install "probe-env[{extra}]"')
+        return _fail(f'{name} needs {module}, which is not installed: pip install "probe-env[{extra}]"')
     except BrokenPipeError:
         raise
     except (ValueError, OSError, SimulationError, RuntimeError) as error:

@@ -68,16 +68,18 @@ class Compare:
 
 
 def _design(path: Path, probe: Probe) -> Design:
-    """The design of a file; missing fields are those of the plant's probe."""
+    """The design of a file; missing fields are those of the plant's probe. It must be buildable as it is."""
     from probe_env import Design
     from probe_env.files import FileError
 
     try:
-        return Design.from_toml(path).completed(probe)
+        design = Design.from_toml(path).completed(probe)
+        design.check_whole_pitches()
     except FileError:
         raise
     except ValueError as error:
         raise FileError(path, str(error)) from error
+    return design
 
 
 @dataclass(frozen=True)

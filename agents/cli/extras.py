@@ -15,9 +15,17 @@ MODULES: Final = {
 """Package -> its modules, where they differ from the name of the package."""
 
 
-def extra_with(module: str) -> str | None:
-    """The smallest extra that installs a module; None if there is none."""
-    return next((extra for extra in EXTRAS if module in modules_of(extra)), None)
+PARTS: Final = {"plant": ("commands",), "agents": ("commands", "plant"), "app": ("commands",)}
+"""Extra -> the extras that it includes."""
+
+
+def extra_with(module: str, needed: str = "commands") -> str | None:
+    """The smallest extra that installs a module and includes the extra ``needed``; None if no extra has the module.
+
+    If none has both, the smallest one with the module.
+    """
+    extra = next((extra for extra in EXTRAS if module in modules_of(extra)), None)
+    return needed if extra in PARTS.get(needed, ()) else extra
 
 
 def modules_of(extra: str = "") -> set[str]:

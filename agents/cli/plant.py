@@ -137,7 +137,7 @@ class Calibrate:
         print_calibration(calibration, with_file=self.tube is not None)
         print(f"written: {', '.join(map(str, (target, *pictures)))}")
         if calibration.misfits:
-            print("do not use this posterior: a tube.toml that names it gives a warning")
+            print("do not use this posterior: recommend refuses a tube.toml that names it")
         else:
             print(f'use it: posterior = "{target}" above the tables of your tube.toml')
 
@@ -159,17 +159,19 @@ class Recommend:
     """Also write a feedback law (.json) over helix diameter, friction (from the root tension) and inserted length."""
     folder: File = None
     """Folder of the simulated episodes and the report; default: NAME-confirmed next to the output."""
-    limit: int = 24
+    limit: int = 12
     """Number of simulated tubes; 0: all."""
     simulated: bool = True
     """Simulate the schedules."""
-    fidelity: str = "standard"
-    """Accuracy of the simulation: study, reference, standard, fast, surrogate or auto."""
+    fidelity: str = "fast"
+    """Accuracy of the simulation: study, reference, standard (four times as slow as fast), fast, surrogate or auto."""
+    anyway: bool = False
+    """Accept a calibration that is misspecified."""
     workers: Annotated[Workers, tyro.conf.arg(name="")] = field(default_factory=Workers)
 
     def run(self) -> None:
         """Search, store, simulate, print."""
-        from agents.plant.recommendation import Confirmation, recommend
+        from agents.plant.recommendation import Confirmation, is_misspecified, recommend
         from agents.plant.response import stored_response
         from agents.policies.cases import plant_at
 
@@ -181,18 +183,24 @@ class Recommend:
         if self.schedules and not self.simulated:
             raise ValueError("schedules need the simulation: remove --no-simulated")
         confirmation = Confirmation(folder, self.schedules, self.limit, self.fidelity) if self.simulated else None
-        recommend(plant_at(self.tube), self.output, confirmation, stored_response(), self.policy, self.workers)
+        plant = plant_at(self.tube)
+        if is_misspecified(plant) and not self.anyway:
+            raise ValueError(
+                f"{self.tube}: posterior: the calibration is misspecified, its logs do not fit the model: calibrate"
+                " again, leave it out, or give --anyway"
+            )
+        recommend(plant, self.output, confirmation, stored_response(), self.policy, self.workers)
 
 
 @dataclass(frozen=True)
 class Plc:
-    """Write a feedback law of ten constants for your plant as PLC code or as a table.
+    """Write the recommended schedule and a feedback law of ten constants for your plant, for a PLC.
 
     Example: probe-env plc --st output/law.st --csv output/law.csv --tube mine.toml
     """
 
     st: File = None
-    """File of the law as IEC 61131-3 structured text, or - to print it and nothing else."""
+    """File of recipe, law (IEC 61131-3 structured text) and scaling of the noise, or - to print it and nothing else."""
     csv: File = None
     """File of the law as a table over helix diameter, friction and length, or - to print it and nothing else."""
     trimmed: bool = False
@@ -202,8 +210,8 @@ class Plc:
 
     def run(self) -> None:
         """Write, print."""
-        from agents.plant.plc_export import print_law, write_law
-        from agents.policies.cases import load_case
+        from agents.plant.plc_export import print_law, print_recipe, recipe_of, write_law
+        from agents.policies.cases import load_case, plant_at
         from agents.policies.plc_law import PlantData, read_constants, read_trim
         from agents.records.atomic import STANDARD_OUTPUT
 
@@ -212,11 +220,14 @@ class Plc:
         constants = read_constants()
         case = load_case(self.tube, "test")
         trim = read_trim() if self.trimmed else None
-        write_law(constants, PlantData.of(case.config), case, self.st, self.csv, trim)
         written = [file for file in (self.st, self.csv) if file]
-        if STANDARD_OUTPUT.isdisjoint(written):
+        printed = STANDARD_OUTPUT.isdisjoint(written)
+        recipe = recipe_of(plant_at(self.tube)) if self.st or printed else ""
+        write_law(constants, PlantData.of(case.config), case, self.st, self.csv, trim, recipe)
+        if printed:
             for file in written:
                 print(f"written: {file}")
+            print_recipe(recipe)
             print_law(constants, trim)
 
 

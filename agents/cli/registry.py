@@ -17,11 +17,17 @@ COMMANDS: Final = {
     "log": ("plant:ReadLog", "read a rig's log and write it as a schedule"),
     "calibrate": ("plant:Calibrate", "estimate friction and other unknowns from logs"),
     "recommend": ("plant:Recommend", "schedule with the best expected reward for your plant"),
-    "plc": ("plant:Plc", "feedback law for a PLC: structured text or table"),
+    "plc": ("plant:Plc", "for a PLC: recommended schedule and feedback law"),
     "app": ("plant:App", "edit, run and compare schedules in the browser"),
     "study": ("studies:Study", "run a study by name or from a file"),
 }
 """Name -> module of ``agents.cli`` with dataclass, and the line on the first page."""
+NEEDS: Final = {
+    **dict.fromkeys(("train", "tune", "compare", "design"), "agents"),
+    **dict.fromkeys(("log", "calibrate"), "plant"),
+    "app": "app",
+}
+"""Commands that always need more than the extra ``commands`` -> their extra."""
 GROUPS: Final = {
     "Simulate and evaluate": ("simulate", "evaluate", "render", "signal", "agents"),
     "Train and design": ("train", "tune", "compare", "design", "study"),

@@ -77,7 +77,7 @@ def compare(designs: Mapping[str, Design], trials: DesignTrials, output: Path) -
     units = [(name, k) for name in designs for k in range(len(trials.contexts))]
     keys = {u: trials.key(designs[u[0]], trials.contexts[u[1]], u[1]) for u in units}
     planned, done = set(keys.values()), journal.read()
-    missing = [unit for unit in units if keys[unit] not in done]
+    missing = list({keys[unit]: unit for unit in units if keys[unit] not in done}.values())  # equal designs run once
     announce(Work("trial", len(planned), lambda: len(planned & journal.read().keys()), output))
     if missing:
         with journal.appending() as append, tqdm(total=len(missing), desc="designs", unit="trial") as bar:

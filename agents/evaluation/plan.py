@@ -31,6 +31,7 @@ from agents.evaluation.folder import (
 from agents.evaluation.folder import Unit as Unit
 from agents.evaluation.kpis import PROFILE_COLUMNS, PROFILE_COLUMNS_NEWER
 from agents.evaluation.workers import HERE, Workers
+from agents.policies.planner import ModelPredictivePolicy
 from agents.policies.policy import Policy as Policy
 from agents.records.atomic import write_atomically
 from agents.records.manifest import commit, origin, write_json, write_manifest
@@ -45,11 +46,17 @@ from probe_env.envs.episodes.starts import Probes
 from probe_env.envs.task import VISIBLE_FIELDS, TaskConfig, describe
 from probe_env.envs.trials import PolicyBatch
 from probe_env.envs.vibration_map import VibrationMap
+from probe_env.fidelity import measured_errors
 from probe_env.files import FileError
 from probe_env.inspection.metrics import with_pod_columns
+from probe_env.machine import available_cores
 
 BATCH: Final = 16
 """Number of episodes in a batch."""
+SECONDS_PER_METRE, MEAN_SHARE = 5.5, 0.6
+"""Of a usual insertion: time per metre [s/m], and mean inserted length over that of the helix."""
+FULL_LANES: Final = 0.35
+"""Time of evaluations in full batches over that of the measured costs: 16 episodes at fast took 11 s of a core."""
 COLUMNS: Final = (*PROFILE_COLUMNS, *PROFILE_COLUMNS_NEWER)
 """Columns of a profile."""
 
@@ -145,7 +152,14 @@ def run_plan(
         write_json(output / "report.json", report.model_dump(mode="json"))
     units = {plan.key(unit): unit for unit in plan.units()}
     missing = deque(unit for key, unit in units.items() if key not in done)
-    announce(Work("episode", len(units), lambda: len(units.keys() & journal.read().keys()), output), quiet=not progress)
+    cores = min(workers.jobs if not workers.here else threads or available_cores(), available_cores())
+    announce(
+        Work(
+            "episode", len(units), lambda: len(units.keys() & journal.read().keys()), output,
+            seconds=sum(core_seconds(plan, unit[0]) for unit in missing) / max(len(missing), 1) / cores,
+        ),
+        quiet=not progress,
+    )  # fmt: skip
     write_json(output / UNFINISHED, origin(command) | plan.described())
     if missing:
         write_json(output / "setting.json", plan.setting())
@@ -167,6 +181,24 @@ def run_plan(
     write_manifest(output, files, seeds=plan.seeds, command=command, commits=table["commit"], policies=policies)
     (output / UNFINISHED).unlink(missing_ok=True)
     return table
+
+
+def core_seconds(plan: Plan, policy: str) -> float:
+    """Rough time of an episode on one core [s], from the measured costs of methods; 0 if none is measured.
+
+    A planner also simulates its candidates.
+    """
+    costs = [
+        row.cost * row.fidelity.time_lapse
+        for row in measured_errors()
+        if plan.fidelity.simulates and row.fidelity.numerics == plan.fidelity.numerics
+    ]
+    scene, planner, planned = plan.config.scene, plan.policies[policy], 0.0
+    if isinstance(planner, ModelPredictivePolicy):
+        planned = planner.candidates * planner.periods / planner.every
+    motion = scene.tube.helix_length * SECONDS_PER_METRE / plan.fidelity.time_lapse
+    pitches = MEAN_SHARE * scene.tube.helix_length / scene.probe.float_pitch
+    return FULL_LANES * (1.0 + planned) * float(np.median(costs or [0.0])) * pitches * motion
 
 
 def stored_episodes(plan: Plan, output: Path) -> dict[str, dict[str, Any]]:

@@ -386,7 +386,9 @@ def draw_curves(evaluation: Path, output: Path) -> None:
     figures.curves(curves, output / "pod.png")
     header = ("policy", "a50 [% wall]", "a90 [% wall]", "a90/95 [% wall]")
     rows = [
-        (str(row[0]), *(f"{value:.1f}" for value in row[1:])) for row in statistics.depths_of(table).to_numpy().tolist()
+        (str(row[0]), *(f"{value:.1f}" if value == value else "-" for value in row[1:]))
+        for row in statistics.depths_of(table).to_numpy().tolist()
     ]
-    print_table(f"Detected depths, over {table['context'].nunique()} tubes", header, rows)
+    tubes = table["context"].nunique()
+    print_table(f"Detected depths, {f'over {tubes} tubes' if tubes > 1 else 'in one tube'}", header, rows)
     print(f"written: {output}/ (pod.png, pod.csv)")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -37,19 +38,23 @@ STRAINS: Final[Mapping[str, str]] = {
 
 @dataclass(frozen=True)
 class Interval:
-    """A mean with its confidence interval."""
+    """A mean with its confidence interval; the ends of the interval of a single value are NaN."""
 
     mean: float
     low: float
     high: float
 
     def text(self, factor: float = 1.0) -> str:
-        """Mean and interval, three digits."""
+        """Mean and interval, three digits; the mean alone without an interval."""
+        if math.isnan(self.low):
+            return short(self.mean * factor)
         return f"{short(self.mean * factor)} [{short(self.low * factor)}, {short(self.high * factor)}]"
 
 
 def short(value: float, sign: str = "") -> str:
-    """Three digits; ``sign`` "+": with a sign, unless it is 0."""
+    """Three digits; ``sign`` "+": with a sign, unless it is 0. NaN is "-"."""
+    if math.isnan(value):
+        return "-"
     sign = sign if value else ""
     return f"{value:{sign}.0f}" if abs(value) >= 100.0 else f"{value:{sign}.3g}"
 
@@ -99,7 +104,7 @@ def _ratio_of_means(a: np.ndarray, b: np.ndarray, axis: int = -1) -> np.ndarray:
 
 
 def mean_interval(values: np.ndarray) -> Interval:
-    """Mean of independent values with a bootstrap interval (BCa), which has no width if all are equal.
+    """Mean of independent values with a bootstrap interval (BCa): NaN for one value, no width if all are equal.
 
     Raises:
         ValueError: no values, or some that are not finite.
@@ -108,7 +113,9 @@ def mean_interval(values: np.ndarray) -> Interval:
     if len(values) == 0 or not np.isfinite(values).all():
         raise ValueError(f"values = {values!r} must be one or more finite numbers")
     mean = float(values.mean())
-    if len(values) == 1 or np.ptp(values) == 0.0:
+    if len(values) == 1:
+        return Interval(mean, math.nan, math.nan)
+    if np.ptp(values) == 0.0:
         return Interval(mean, mean, mean)
     return Interval(mean, *map(float, bootstrap_ends(np.mean, values)))
 
@@ -167,7 +174,9 @@ def share_of_lead(table: pd.DataFrame, policy: str, best: str = BEST, bar: str =
     values, most, least = (column.to_numpy() for column in columns)
     gains = values - least, most - least
     share = float(_ratio_of_means(*gains))
-    if len(values) < 2 or np.ptp(values - most) == 0.0 or np.ptp(values - least) == 0.0:
+    if len(values) < 2:
+        return Interval(share, math.nan, math.nan)
+    if np.ptp(values - most) == 0.0 or np.ptp(values - least) == 0.0:
         return Interval(share, share, share)
     return Interval(share, *map(float, bootstrap_ends(_ratio_of_means, *gains, paired=True)))
 
@@ -251,8 +260,11 @@ def curves_by_tube(table: pd.DataFrame, policy: str) -> FloatArray:
 
 
 def a90_95(table: pd.DataFrame, policy: str) -> float:
-    """Depth [% of the wall] detected with probability 90 % at 95 % confidence (bootstrap over tubes)."""
-    return float(100.0 * np.percentile(depths_found(bootstrap_means(curves_by_tube(table, policy)), 0.9), A90_BOUND))
+    """Depth [% of the wall] detected with probability 90 % at 95 % confidence (bootstrap over tubes); NaN for one."""
+    curves = curves_by_tube(table, policy)
+    if len(curves) < 2:
+        return math.nan
+    return float(100.0 * np.percentile(depths_found(bootstrap_means(curves), 0.9), A90_BOUND))
 
 
 def depths_of(table: pd.DataFrame) -> pd.DataFrame:
@@ -284,11 +296,12 @@ def _mean(curves: FloatArray) -> FloatArray:
 
 
 def bands(table: pd.DataFrame) -> pd.DataFrame:
-    """Mean probability of detection over the tubes with its 95 % band, for every policy and depth."""
+    """Mean probability of detection over the tubes with its 95 % band (NaN for one), for every policy and depth."""
     parts = []
     for policy in dict.fromkeys(table["policy"]):
         curves = curves_by_tube(table, policy)
-        low, high = np.percentile(bootstrap_means(curves), PERCENTILES, axis=0)
+        ends = np.percentile(bootstrap_means(curves), PERCENTILES, axis=0)
+        low, high = ends if len(curves) > 1 else np.full_like(ends, np.nan)
         columns = {"depth_percent_wall": 100.0 * DEPTHS, "pod": curves.mean(axis=0), "low": low, "high": high}
         parts.append(pd.DataFrame({"policy": policy, **columns}))
     return pd.concat(parts, ignore_index=True)

@@ -246,12 +246,11 @@ def print_calibration(calibration: Calibration, with_file: bool = True) -> None:
     if prior.fixed:
         fixed = (f"{UNKNOWNS[name].text} {value:g} {UNKNOWNS[name].unit}" for name, value in prior.fixed.items())
         terms["fixed"] = "in the tube file: " + "; ".join(text.strip() for text in fixed)
-    print_terms(terms)
-    for text in calibration.outside:
-        print_terms({"note": f"outside the training range of the response: {text}"})
-    for text in (*calibration.misfits, *calibration.at_bounds):
-        print_terms({"note": text})
+    outside = (f"outside the training range of the response: {text}" for text in calibration.outside)
     print_terms({"verdict": calibration.verdict})
+    for text in (*calibration.misfits, *calibration.at_bounds, *outside):
+        print_terms({"note": text})
+    print_terms(terms)
 
 
 def draw_corner(calibration: Calibration, path: Path) -> Path:

@@ -1,4 +1,4 @@
-"""Feedback law for a PLC: IEC 61131-3 structured text, a table over friction and length, and its constants."""
+"""For a PLC: the recommended schedule as a recipe, and a feedback law as IEC 61131-3 structured text or as a table."""
 
 from __future__ import annotations
 
@@ -10,15 +10,22 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
+from agents.plant.recommendation import is_misspecified, optimal_schedule
+from agents.plant.response import stored_response
 from agents.policies import plc_law
-from agents.policies.cases import EvaluationCase
+from agents.policies.cases import EvaluationCase, load_case
 from agents.policies.plc_law import SHORTEST, Constants, PlantData, Trim, law_at
 from agents.policies.policy import Domain, check_domains
 from agents.records.atomic import write_text
 from agents.terminal.tables import print_table
+from probe_env import Plant
 from probe_env.envs.task import TaskConfig
 from probe_env.envs.vibration_map import stored_map
+from probe_env.inspection.sensor import REFERENCE_RMS, Sensor
+from probe_env.schedule import Schedule
 
+RECIPE: Final = "linear between rows"
+RECIPE_HEADER: Final = ("length [m]", "feed [mm/s]", "air [m3/h]")
 TEMPLATE: Final = Path(__file__).parent / "data" / "feed-law.st.j2"
 TABLE_FRICTIONS: Final = tuple(round(0.08 + 0.02 * k, 2) for k in range(11))
 TABLE_STEP: Final = 2.5
@@ -50,8 +57,47 @@ PLANT_DATA: Final = {
 }
 
 
-def structured_text(constants: Constants, plant: PlantData, trim: Trim | None = None) -> str:
-    """Write the law as a function block; with a trim, the feed has integral action on the noise."""
+def recipe_of(plant: Plant | None) -> Schedule | str:
+    """The recommended schedule for a plant (None: the study's), or why there is none."""
+    if is_misspecified(plant):
+        return "the calibration of the plant is misspecified: calibrate again"
+    case = load_case(plant, "train")
+    try:
+        return optimal_schedule(case.contexts, stored_response(), case.config).schedule
+    except ValueError as error:
+        return str(error)
+
+
+def recipe_rows(schedule: Schedule) -> list[tuple[str, str, str]]:
+    """Inserted length [m], feed [mm/s] and air [m3/h] of a schedule, as text."""
+    columns = zip(schedule.position, schedule.feed_speed, schedule.air_supply_rate, strict=True)
+    return [(f"{length:g}", f"{1e3 * feed:.1f}", f"{3600.0 * air:.1f}") for length, feed, air in columns]
+
+
+def print_recipe(recipe: Schedule | str) -> None:
+    """Print a recipe, or why there is none."""
+    if isinstance(recipe, str):
+        print(f"no recommended schedule: {recipe}")
+    else:
+        print_table(f"Recommended schedule, {RECIPE}", RECIPE_HEADER, recipe_rows(recipe))
+
+
+def structured_text(
+    constants: Constants,
+    plant: PlantData,
+    trim: Trim | None = None,
+    recipe: Schedule | str = "",
+    sensor: Sensor | None = None,
+) -> str:
+    """Write recipe, law as a function block, and the scaling of its inputs.
+
+    Args:
+        constants: the ten constants.
+        plant: data of the plant.
+        trim: of the integral action on the noise; None: no such action.
+        recipe: the recommended schedule, or why there is none.
+        sensor: sensor of the plant, for the scaling of the noise; default: that of the study's plant.
+    """
     from jinja2 import Environment, StrictUndefined
 
     values = (plant.air_speed_per_supply, plant.drag, plant.float_diameter, *plant.feed_speeds, *plant.air_supply_rates)
@@ -65,6 +111,11 @@ def structured_text(constants: Constants, plant: PlantData, trim: Trim | None = 
     return environment.from_string(TEMPLATE.read_text(encoding="utf-8")).render(
         law=plc_law,
         trim=trim,
+        header=RECIPE_HEADER,
+        about_recipe=RECIPE,
+        recipe=recipe if isinstance(recipe, str) else recipe_rows(recipe),
+        sensor=sensor or Sensor(),
+        reference_rms=REFERENCE_RMS,
         constants=entries,
         plant=[(name, value, unit) for (name, unit), value in zip(PLANT_DATA.items(), values, strict=True)],
     )
@@ -106,8 +157,9 @@ def write_law(
     st: Path | None,
     csv: Path | None,
     trim: Trim | None = None,
+    recipe: Schedule | str = "",
 ) -> None:
-    """Write the law as structured text (with a trim, if any) and as a table.
+    """Write the law as structured text (with a trim and a recipe, if any) and as a table.
 
     Warns if the plant requires more tension than the least air of the law gives, or is outside the law's domain.
     """
@@ -121,7 +173,7 @@ def write_law(
         )
     check_domains({"the law": Domain.of_map(stored_map())}, case.config, case.contexts, strict=False)
     if st:
-        write_text(st, structured_text(constants, plant, trim))
+        write_text(st, structured_text(constants, plant, trim, recipe, case.config.sensor))
     if csv:
         diameters = sorted({context.helix_diameter for context in case.contexts})
         rows = table(constants, plant, diameters, case.config.scene.tube.helix_length)

@@ -72,8 +72,8 @@ class Confirmation:
 
     folder: Path  # folder of episodes and report
     schedules: tuple[str, ...] = ()  # schedules to compare with, specs as for evaluate
-    limit: int = 24  # number of tubes; 0: all
-    fidelity: str = "standard"
+    limit: int = 12  # number of tubes; 0: all
+    fidelity: str = "fast"
 
 
 def recommend(
@@ -137,6 +137,11 @@ def recommend(
         names = [name_and_spec(spec)[0] for spec in confirmation.schedules] or [NAME]  # for the report's first line
         evaluate_plan(plan, confirmation.folder, against=NAME, workers=workers, own=names)
     return optimum
+
+
+def is_misspecified(plant: Plant | None) -> bool:
+    """Whether a plant's calibration does not fit its logs: nothing should be computed from it."""
+    return plant is not None and plant.posterior is not None and plant.posterior.misspecified
 
 
 def optimal_schedule(tubes: Sequence[Context], response: Response, config: TaskConfig) -> Optimum:

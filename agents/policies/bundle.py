@@ -15,13 +15,12 @@ import numpy as np
 import numpy.typing as npt
 import safetensors.numpy
 import torch
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, FiniteFloat, ValidationError, model_validator
 from pydantic_core import PydanticCustomError
-from sb3_contrib import RecurrentPPO
-from stable_baselines3 import PPO, SAC
+from sb3_contrib import TQC, RecurrentPPO
+from stable_baselines3 import PPO, SAC, TD3
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.policies import BasePolicy
-from stable_baselines3.common.vec_env import VecNormalize
 
 from agents.policies.policy import Domain, RangesOfTubes
 from agents.policies.trained import RESTORE, read_weights
@@ -37,13 +36,24 @@ from probe_env.settings import Model, explain, quantity
 
 Floats = npt.NDArray[np.floating[Any]]
 Algorithm = Literal["ppo", "sac", "recurrent-ppo"]
-ALGORITHMS: Final[dict[Algorithm, tuple[Any, str]]] = {
+Trained = Algorithm | Literal["td3", "tqc"]
+ALGORITHMS: Final[dict[Trained, tuple[Any, str]]] = {
     "ppo": (PPO, "MlpPolicy"),
     "sac": (SAC, "MlpPolicy"),
     "recurrent-ppo": (RecurrentPPO, "MlpLstmPolicy"),
 }
-KNOWN: Final = ("net_arch", "log_std_init", "lstm_hidden_size", "ortho_init", "use_sde")
+POLICIES: Final[dict[Trained, tuple[Any, str]]] = {**ALGORITHMS, "td3": (TD3, "MlpPolicy"), "tqc": (TQC, "MlpPolicy")}
+"""Algorithms of bundles: those of training files, and others of which a trained model can be saved."""
+ACTIVATIONS: Final = {
+    kind.__name__: kind
+    for kind in (torch.nn.ReLU, torch.nn.Tanh, torch.nn.ELU, torch.nn.LeakyReLU, torch.nn.SiLU, torch.nn.GELU)
+}
+KNOWN: Final = (
+    "net_arch", "activation_fn", "log_std_init", "lstm_hidden_size", "ortho_init", "use_sde",
+    "optimizer_class", "optimizer_kwargs",
+)  # fmt: skip
 """Policy arguments that a bundle describes, or that have no effect after training."""
+OFF_POLICY: Final = ("sac", "td3", "tqc")
 MOST_WEIGHTS: Final = 1 << 24
 """Limit of the weights between the hidden layers, so that a file cannot exhaust the memory."""
 LARGEST_WEIGHT: Final = 1e6
@@ -60,6 +70,8 @@ class Network(Model):
 
     net_arch: Annotated[tuple[Annotated[int, Field(ge=1, le=4096)], ...], Field(max_length=8)] = (64, 64)
     lstm_hidden_size: int = Field(default=64, ge=1, le=2048)
+    activation: Literal["ReLU", "Tanh", "ELU", "LeakyReLU", "SiLU", "GELU"] | None = None
+    """Class of torch.nn; default: that of the algorithm."""
     log_std_init: Annotated[float, quantity(-20.0, 5.0, "")] = -1.0
     noise_interval: int = Field(default=0, ge=0, le=10_000)
     """Steps for which exploration is one function of the features (gSDE: Raffin et al. 2022); 0: new noise each."""
@@ -71,28 +83,53 @@ class Network(Model):
             raise PydanticCustomError("weights", f"net_arch: {weights} weights are more than {MOST_WEIGHTS}")
         return self
 
-    def arguments(self, algorithm: Algorithm) -> dict[str, Any]:
+    def arguments(self, algorithm: str) -> dict[str, Any]:
         """SB3's ``policy_kwargs``."""
-        if algorithm == "sac":
-            return {"net_arch": list(self.net_arch)}
-        arguments = {"net_arch": list(self.net_arch), "log_std_init": self.log_std_init}
+        arguments: dict[str, Any] = {"net_arch": list(self.net_arch)}
+        if self.activation:
+            arguments["activation_fn"] = ACTIVATIONS[self.activation]
+        if algorithm in OFF_POLICY:
+            return arguments
+        arguments["log_std_init"] = self.log_std_init
         if algorithm == "recurrent-ppo":
             arguments["lstm_hidden_size"] = self.lstm_hidden_size
         return arguments
+
+
+class Normalisation(Model):
+    """Statistics of SB3's ``VecNormalize``, one value per observation."""
+
+    mean: tuple[FiniteFloat, ...]
+    var: tuple[Annotated[FiniteFloat, Field(ge=0.0)], ...]
+    clip_obs: Annotated[float, Field(gt=0.0)]
+    epsilon: Annotated[FiniteFloat, Field(gt=0.0)]
+
+    def apply(self, features: npt.NDArray[np.floating[Any]]) -> npt.NDArray[np.float32]:
+        """Features (N, d) as ``VecNormalize`` returns them: (x - mean) / sqrt(var + epsilon), clipped."""
+        scaled = (features - np.array(self.mean)) / np.sqrt(np.array(self.var) + self.epsilon)
+        clipped: npt.NDArray[np.float32] = np.clip(scaled, -self.clip_obs, self.clip_obs).astype(np.float32)
+        return clipped
 
 
 class Description(Model):
     """Metadata of a bundle."""
 
     format: Literal[1] = 1
-    algorithm: Algorithm
+    algorithm: Trained
     network: Network
     view: View
     task: TaskConfig
+    normalisation: Normalisation | None = None
     tubes: RangesOfTubes | None = None
     """Ranges of the fields of ``Context`` in training; default: those of the shipped lists."""
     trained: dict[str, Any]
     """Training run: config, seed, steps, versions, commit, machine."""
+
+    @model_validator(mode="after")
+    def _one_statistic_per_feature(self) -> Self:
+        if self.normalisation and not len(self.normalisation.mean) == len(self.normalisation.var) == self.view.size:
+            raise PydanticCustomError("size", f"normalisation: mean and var must have {self.view.size} values each")
+        return self
 
 
 class Agent:
@@ -169,7 +206,9 @@ class Agent:
         memory, inner = state if state is not None else (None, None)
         view = self.description.view
         features, memory = view.features(self._config, rows, memory, start)
-        actions, inner = self.policy.predict(features, inner, start, deterministic)
+        normalisation = self.description.normalisation
+        inputs = normalisation.apply(features) if normalisation else features
+        actions, inner = self.policy.predict(inputs, inner, start, deterministic)
         applied = view.env_actions(self.description.task, actions, view.guided(features))
         if not np.isfinite(applied).all():
             raise ValueError(f"the agent of bundle {self.hash or '(unsaved)'} returned actions that are not finite")
@@ -247,9 +286,9 @@ def load_bundle(path: str | Path, config: TaskConfig | None = None) -> Agent:
 
 def build_policy(description: Description, initialised: bool = True) -> BasePolicy:
     """Build SB3's policy of a description; ``initialised``: with the initial weights of training."""
-    algorithm, name = ALGORITHMS[description.algorithm]
+    algorithm, name = POLICIES[description.algorithm]
     arguments = description.network.arguments(description.algorithm)
-    if not initialised and description.algorithm != "sac":
+    if not initialised and description.algorithm not in OFF_POLICY:
         arguments["ortho_init"] = False  # slow for large networks
     if description.network.noise_interval:
         arguments["use_sde"] = True
@@ -273,11 +312,12 @@ def from_sb3(model: BaseAlgorithm, config: TaskConfig) -> Agent:
 
     Args:
         model: trained on ``ProbeVecEnv(config=config)`` or an environment of that task, without wrappers that change
-            observations or actions.
+            observations or actions, except ``VecNormalize``, whose statistics are copied. A loaded model needs it:
+            ``PPO.load(path, env=VecNormalize.load(statistics, env))``.
         config: task of the training.
 
     Raises:
-        ValueError: another algorithm, or spaces that differ from the task's.
+        ValueError: another algorithm, spaces that differ from the task's, or unknown statistics of ``VecNormalize``.
     """
     description = _described(model, config)
     digest = _hash(description.model_dump_json(), _weights(model.policy))  # equal agents are simulated once
@@ -290,32 +330,71 @@ def save_bundle(path: str | Path, model: BaseAlgorithm, config: TaskConfig) -> s
     Raises:
         ValueError: as ``from_sb3``, or the policy has arguments that a bundle cannot store.
     """
+    net_arch, activation = (model.policy_kwargs.get(name) for name in ("net_arch", "activation_fn"))
     unknown = sorted(set(model.policy_kwargs) - set(KNOWN))
-    if unknown or isinstance(model.policy_kwargs.get("net_arch"), dict):
-        what = ", ".join(unknown) or "net_arch with different networks"
-        raise ValueError(f"policy_kwargs: a bundle cannot store {what}")
+    if isinstance(net_arch, dict) and net_arch.get("pi") != net_arch.get("vf", net_arch.get("qf")):
+        unknown.append("net_arch with different networks")
+    if activation is not None and activation not in ACTIVATIONS.values():
+        unknown.append(f"activation_fn = {activation.__name__} (only {', '.join(ACTIVATIONS)})")
+    if unknown:
+        raise ValueError(f"policy_kwargs: a bundle cannot store {', '.join(unknown)}")
     return write_bundle(Path(path), _described(model, config), model.policy)
 
 
 def _described(model: BaseAlgorithm, config: TaskConfig) -> Description:
-    algorithm = next((name for name, (kind, _) in ALGORITHMS.items() if isinstance(model, kind)), None)
+    algorithm = next((name for name, (kind, _) in POLICIES.items() if isinstance(model, kind)), None)
     if algorithm is None:
-        kinds = ", ".join(kind.__name__ for kind, _ in ALGORITHMS.values())
+        kinds = ", ".join(kind.__name__ for kind, _ in POLICIES.values())
         raise ValueError(f"model is a {type(model).__name__}; {kinds} are accepted")
-    view = View(observations=tuple(config.observations), averages=(), logarithmic_feed=False)
-    for name, needed in zip(("observation_space", "action_space"), view.spaces, strict=True):
-        shape = getattr(model, name).shape
-        if shape != needed.shape:
-            raise ValueError(f"{name} of the model has shape {shape}; that of the task is {needed.shape}")
-    if isinstance(model.get_env(), VecNormalize):
-        raise ValueError("model was trained with VecNormalize; a bundle cannot store its statistics")
+    low, high = np.array([bounds[:2] for bounds in config.observations.values()], dtype=np.float32).T
+    _check_bounds("observation", model.observation_space, low, high)
+    _check_bounds("action", model.action_space, np.full(2, -1.0), np.full(2, 1.0))
     sizes = {name: value for name, value in model.policy_kwargs.items() if name == "log_std_init"}
     memory = getattr(model.policy, "lstm_actor", None)
     if memory is not None:
         sizes["lstm_hidden_size"] = memory.hidden_size
+    if model.use_sde:
+        sizes["noise_interval"] = max(model.sde_sample_freq, 1)
     shape = getattr(model.policy, "net_arch", None)
-    if isinstance(shape, dict):  # equal networks of actor and critic
-        shape = shape.get("pi", shape.get("vf"))
+    if isinstance(shape, dict):  # networks of actor and critic, which are equal in a bundle
+        shape = shape.get("pi")
+    activation = getattr(model.policy, "activation_fn", None)
+    sizes["activation"] = next((name for name, kind in ACTIVATIONS.items() if kind is activation), None)
     network = Network(net_arch=tuple(shape or ()), **sizes)
     trained = {"by": "stable_baselines3", "steps": int(model.num_timesteps), "seed": model.seed}
-    return Description(algorithm=algorithm, network=network, view=view, task=config, trained=trained)
+    view = View(observations=tuple(config.observations), averages=(), logarithmic_feed=False)
+    return Description(
+        algorithm=algorithm, network=network, view=view, task=config, normalisation=_normalisation(model),
+        trained=trained,
+    )  # fmt: skip
+
+
+def _check_bounds(
+    kind: str, space: Any, low: npt.NDArray[np.floating[Any]], high: npt.NDArray[np.floating[Any]]
+) -> None:
+    """Raise ValueError if the space of a model is not the task's."""
+    if space.shape != low.shape:
+        raise ValueError(f"{kind}_space of the model has shape {space.shape}; that of the task is {low.shape}")
+    for end, found, needed in (("low", space.low, low), ("high", space.high, high)):
+        for k in np.flatnonzero(found != needed)[:1]:
+            raise ValueError(
+                f"{kind}_space.{end}[{k}] of the model is {found[k]:g}; that of the task is {needed[k]:g}:"
+                f" train without wrappers that rescale {kind}s"
+            )
+
+
+def _normalisation(model: BaseAlgorithm) -> Normalisation | None:
+    """Statistics of the model's ``VecNormalize``; None if it normalises no observations."""
+    normalise = model.get_vec_normalize_env()
+    if normalise is None:
+        if model._last_original_obs is not None:  # SB3 stores them in the file, but not the statistics
+            raise ValueError(
+                "model was trained with VecNormalize, whose statistics are not in its file: load it with"
+                " env=VecNormalize.load(statistics, env)"
+            )
+        return None
+    if not normalise.norm_obs:
+        return None
+    statistics: Any = normalise.obs_rms
+    mean, var = tuple(statistics.mean.tolist()), tuple(statistics.var.tolist())
+    return Normalisation(mean=mean, var=var, clip_obs=normalise.clip_obs, epsilon=normalise.epsilon)

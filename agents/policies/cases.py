@@ -73,9 +73,10 @@ def with_probe(config: TaskConfig, name: str) -> TaskConfig:
 
     Raises:
         FileNotFoundError: no such design.
-        ValueError: no float fits.
+        ValueError: no float fits, or the guide is not of whole pitches.
     """
     design = Design.from_toml(file_or_shipped("design", name)).cut_to(config.scene)
+    design.check_whole_pitches()
     probe = design.probe(config.scene.probe)
     room = whole_pitches(config.scene.tube.helix_length - probe.guide_length, probe)
     carrier = min(config.scene.carrier_length, max(room, probe.float_pitch))

@@ -24,6 +24,8 @@ from probe_env.files import MEBI, FileError, read_text
 from probe_env.scene import Probe
 from probe_env.settings import Model, explain, tuples
 
+TOLERANCE = 0.01
+"""Share of a range of tubes by which others may exceed it without a warning."""
 UNITS = dict(zip(CONTEXT, ("", " N/m", "", " m"), strict=True))
 
 
@@ -111,7 +113,8 @@ class Domain:
         for name, (low, high) in self.ranges.items():
             values, unit = [getattr(tube, name) for tube in tubes], UNITS[name]
             least, most = min(values), max(values)
-            if least < low * (1.0 - 1e-3) or most > high * (1.0 + 1e-3):
+            slack = max(TOLERANCE * (high - low), 1e-3 * high)
+            if least < low - slack or most > high + slack:
                 deviations.append(f"{name} = {least:g} to {most:g}{unit}, beyond {low:g} to {high:g}{unit}")
         return deviations
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from itertools import product
@@ -14,6 +15,7 @@ import pandas as pd
 
 from agents.evaluation.kpis import HIGH, KPIS, OVER_TUBES
 from agents.evaluation.statistics import (
+    Interval,
     a90_95,
     by_context,
     curves_by_tube,
@@ -186,12 +188,14 @@ def _cell(row: Mapping[Any, Any]) -> str:
     """Mean, difference and its interval, in the units of ``_label_and_factor``."""
     factor = _label_and_factor(row["metric"])[1]
     mean = short(factor * row["mean"])
-    if row["difference"] == row["difference_low"] == row["difference_high"] == 0.0:
+    change = Interval(row["difference"], row["difference_low"], row["difference_high"])
+    if change.mean == 0.0 and not change.low < change.high:  # the baseline itself
         return mean
-    low, high = short(factor * row["difference_low"]), short(factor * row["difference_high"])
+    low, high = short(factor * change.low), short(factor * change.high)
+    ends = "" if math.isnan(change.low) else f" [{low}, {high}]"
     share = row.get("share_of_lead")
     lead = "" if share is None or share != share else f", {100.0 * share:.0f} % of the lead"
-    return f"{mean} ({short(factor * row['difference'], '+')} [{low}, {high}]{lead})"
+    return f"{mean} ({short(factor * change.mean, '+')}{ends}{lead})"
 
 
 def _forest(study: Study, table: pd.DataFrame, columns: Sequence[str], path: Path) -> None:

@@ -22,6 +22,7 @@ class Work:
         stored: function for the number of stored units.
         folder: where they are stored.
         advice: how to continue.
+        seconds: estimated time of a unit [s]; 0: not known.
     """
 
     unit: str
@@ -29,12 +30,16 @@ class Work:
     stored: Callable[[], int]
     folder: Path | str
     advice: str = "the same command continues"
+    seconds: float = 0.0
 
     def remaining_text(self) -> str:
-        """Number of units to do; empty if none."""
+        """Number of units to do, and their time if it is more than a minute; empty if none."""
         left = self.total - self.stored()
         share = _count(left, self.unit) if left == self.total else f"{left} of {_count(self.total, self.unit)}"
-        return f"{share} to do, stored in {self.folder} one by one" if left > 0 else ""
+        minutes = left * self.seconds / 60.0
+        about = f"about {minutes:.0f} min" if minutes < 100.0 else f"about {minutes / 60.0:.0f} h"
+        time = f", {about}" if minutes > 1.0 else ""
+        return f"{share} to do{time}, stored in {self.folder} one by one" if left > 0 else ""
 
     def stored_text(self) -> str:
         """Number of stored units, and how to continue."""

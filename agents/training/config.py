@@ -147,7 +147,9 @@ class Training(Model):
         trained = resolve_fidelity(self.environment.fidelity, task.scene, round_trip=task.returns)
         for fidelity in (trained, self.validation_fidelity):
             if fidelity.time_lapse > 1.0 and not task.growing:
-                raise PydanticCustomError("fidelity", "fidelity with time-lapse needs a growing probe: Insertion-v1")
+                raise PydanticCustomError(
+                    "fidelity", "fidelity with time-lapse needs a growing probe: use standard, or Insertion-v1"
+                )
             whole_steps("task.period / fidelity.time_lapse", task.period / fidelity.time_lapse, fidelity.time_step)
         self.view.columns(task)
         assert self.validated_in

@@ -226,6 +226,9 @@ class InsertionEnv(ProbeEnv):
       it exists, else the map of table 2's tubes.
     * `contexts`: "random", a shipped list ("train", "validation", "test"), your own list of `Context`s or mappings, or
       `Ranges` to sample from.
+    * `in_turn`: with a list of contexts, episodes take its tubes in order instead of at random, from the first one
+      after `reset(seed=...)`. Environment i of a batch of N begins at tube i and goes on by N: if N divides 24, 24
+      episodes are the 24 validation tubes. `options={"context": ...}` of `reset` sets a whole context.
     * `feed_speed`, `air_supply_rate`: while the probe settles, SI units; default 0.2 m/s and 63 m3/h, or the nearest
       values in range.
     * `probes`: "scene", or "random": every reset samples a `probe_env.Design` from the whole design space, so that one

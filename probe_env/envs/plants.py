@@ -179,6 +179,8 @@ class Posterior(Model):
     """[-]."""
     damping_time: Draws | None = None
     """[s]."""
+    misspecified: bool = Field(default=False, exclude=True)
+    """Whether the model does not fit the logs of the calibration with any parameters."""
 
     @model_validator(mode="after")
     def _belong_together(self) -> Self:
@@ -190,7 +192,7 @@ class Posterior(Model):
     @property
     def draws(self) -> dict[str, FloatArray]:
         """Draws (n,) by quantity."""
-        listed = {name: getattr(self, name) for name in type(self).model_fields}
+        listed = {name: getattr(self, name) for name in type(self).model_fields if name != "misspecified"}
         return {name: np.array(values) for name, values in listed.items() if values is not None}
 
     @classmethod
@@ -210,14 +212,15 @@ class Posterior(Model):
         draws = content.get("draws") if isinstance(content, dict) else None
         if not isinstance(draws, dict):
             raise FileError(path, "draws: missing, so it is not a calibration (probe-env calibrate writes one)")
-        if content.get("misspecified") is True:
+        misspecified = content.get("misspecified") is True
+        if misspecified:
             warnings.warn(
                 f"{path}: the calibration is misspecified: the model does not fit its logs with any parameters; do not"
                 " use results computed from it",
                 stacklevel=5,
             )
         try:
-            return cls.model_validate(tuples(draws))
+            return cls.model_validate(tuples(draws) | {"misspecified": misspecified})
         except ValidationError as error:
             raise FileError(path, explain(error, "draws")) from error
 

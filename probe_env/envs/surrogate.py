@@ -133,7 +133,9 @@ class SurrogateEpisodes:
         if count < 1:
             raise ValueError(f"num_envs = {count!r} is outside the accepted range 1 and more")
         feed, air = settling(config, settings)
-        self.sampler = EpisodeSampler(config, arguments["contexts"], arguments["probes"], feed, air)
+        self.sampler = EpisodeSampler(
+            config, arguments["contexts"], arguments["probes"], feed, air, arguments["in_turn"]
+        )
         self.start_action = config.action(feed, air)
         self.limit, self.buckling = rms_limit(config), np.full(count, buckling_load(config.scene.probe))
         self.helix_length = np.full(count, config.scene.tube.helix_length)
@@ -141,6 +143,7 @@ class SurrogateEpisodes:
         self.direction = np.ones(count)
         self.context = [Context()] * count
         self.rng = [np.random.default_rng(k) for k in range(count)]
+        self.episode = np.zeros(count, dtype=int)
         self.tubes = np.ones((count, len(CONTEXT)))
         self.inserted_length, self.start, self.time = np.zeros(count), np.zeros(count), np.zeros(count)
         self.feed, self.air = np.zeros(count), np.zeros(count)
@@ -187,12 +190,14 @@ class SurrogateEpisodes:
                 been changed.
         """
         prepared: dict[int, tuple[Context, Scene]] = {}
+        # a new generator, of a reset with a seed, begins at the first tube again
+        episodes = {k: self.episode[k] + 1 if rngs[k] is self.rng[k] else 0 for k in which}
         with restored_on_error(rngs[k] for k in which):
             for k in which:
-                prepared[k] = self.sampler.draw(rngs[k], (options or {}).get(k) or {})
+                prepared[k] = self.sampler.draw(rngs[k], (options or {}).get(k) or {}, k + episodes[k] * len(self))
                 check_tube(*prepared[k], self.map)
         for k, (context, scene) in prepared.items():
-            self.rng[k], self.context[k] = rngs[k], context
+            self.rng[k], self.episode[k], self.context[k] = rngs[k], episodes[k], context
             self.tubes[k] = [getattr(context, name) for name in CONTEXT]
             self.inserted_length[k] = self.start[k] = scene.inserted_length
             self.feed[k], self.air[k] = self.sampler.feed_speed, self.sampler.air_supply_rate

@@ -9,6 +9,7 @@ import pytest
 
 from agents.cli import main
 from agents.cli.extras import EXTRAS, extra_with, modules_of
+from agents.cli.registry import COMMANDS, NEEDS
 
 ROOT = Path(__file__).parents[2]
 PARTS = {"pydantic_core": "pydantic", "llvmlite": "numba"}
@@ -40,15 +41,23 @@ def test_extras_name_what_is_imported():
     assert imported("agents") - imported("probe_env") - {"ray"} <= set().union(*map(modules_of, EXTRAS))
 
 
-def test_a_missing_module_is_named_with_the_smallest_extra(monkeypatch, capsys):
+def test_a_missing_module_is_named_with_the_smallest_extra_that_the_command_runs_with(monkeypatch, capsys):
     assert [extra_with(name) for name in ("PIL", "emcee", "tornado", "x")] == ["commands", "plant", "app", None]
-    for module, extra in (("tyro", "commands"), ("tyro.conf", "commands"), ("sb3_contrib", "agents")):
+    for command, module, extra in (
+        ("simulate", "tyro", "commands"), ("simulate", "tyro.conf", "commands"), ("evaluate", "sb3_contrib", "agents"),
+        ("train", "tyro", "agents"), ("log", "tyro", "plant"), ("app", "tyro", "app"), ("app", "torch", "agents"),
+    ):  # fmt: skip
 
         def missing(*_, name=module):
             raise ModuleNotFoundError(f"No module named {name!r}", name=name)
 
         monkeypatch.setattr("agents.cli.parsing.parse", missing)
-        assert main(["simulate"]) == 2
+        assert main([command]) == 2
         package = module.partition(".")[0]
-        line = f'this command needs {package}, which is not installed: pip install "probe-env[{extra}]"'
+        line = f'{command} needs {package}, which is not installed: pip install "probe-env[{extra}]"'
         assert capsys.readouterr() == ("", f"probe-env: error: {line}\n")
+
+
+def test_what_a_command_needs_is_an_extra():
+    assert set(NEEDS) <= set(COMMANDS)
+    assert set(NEEDS.values()) <= set(EXTRAS)

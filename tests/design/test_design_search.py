@@ -164,6 +164,11 @@ def test_comparison_is_paired_resumable_and_the_same_in_any_company(tmp_path, ca
     assert rows.loc[("original", "reward"), "change"] == 0.0
     change = whole[whole["design"] == "light"]["reward"].mean() - whole[whole["design"] == "original"]["reward"].mean()
     assert rows.loc[("light", "reward"), "change"] == pytest.approx(change)
+    capsys.readouterr()
+    twins = compare({"one": Design(line_density=0.12), "two": Design(line_density=0.12)}, DesignTrials(tubes), tmp_path)
+    assert "2/2" in capsys.readouterr().err
+    assert len((tmp_path / "designs.jsonl").read_text().splitlines()) == 2
+    assert twins["reward"].to_numpy()[:2] == pytest.approx(twins["reward"].to_numpy()[2:], rel=1e-12)
     keys = {DesignTrials((), fidelity=f).key(Design(), Context()) for f in (Fidelity(), Fidelity(time_step=1e-4))}
     assert len(keys) == 2
 

@@ -32,6 +32,7 @@ def here(tmp_path, monkeypatch):
     (tmp_path / "mine.toml").write_text(OWN)
     (tmp_path / "other.toml").write_text(OWN.replace("40.0", "80.0"))
     (tmp_path / "own.toml").write_text("")  # the plant's own probe
+    (tmp_path / "off.toml").write_text("guide_length = 5.03\n")
     (tmp_path / "long.toml").write_text("guide_length = 10.0\nguide_float_diameter = 0.018\n")
 
 
@@ -72,6 +73,11 @@ def test_what_does_not_fit_is_refused_before_any_work(tmp_path, capsys):
     for plant, arguments, message in (
         (OWN, ["compare", "improved"], "design 'improved' in mine: probe.guide_float_diameter = 0.02 m must be less"),
         (OWN.replace("0.13", "0.2"), ["compare", "long.toml"], "long.toml: line_density is not given, and that of the"),
+        (
+            OWN,
+            ["compare", "off.toml"],
+            "off.toml: guide_length = 5.03 m is not a whole multiple",
+        ),
         (OWN.replace("40.0", "20.0"), ["compare", "long.toml"], "helix_length = 20 m: designs are compared as far as"),
         (OWN.replace("40.0", "20.0"), ["design"], "helix_length = 20 m: designs are compared as far as"),
         (tight.replace("19.5e-3", "17.005e-3"), ["compare", "long.toml"], "must be less than"),

@@ -51,6 +51,21 @@ BROKEN = {
 }
 
 
+def test_designs_that_cannot_be_built_as_they_are_name_the_nearest():
+    Design(guide_length=5.1, float_pitch=0.15).check_whole_pitches()
+    for fields, message in (
+        (
+            {"guide_length": 5.03},
+            r"5.03 m is not a whole multiple of float_pitch = 0.1 m: give 5 m or 5.1 m",
+        ),
+        ({"float_pitch": 0.15}, r"guide_length = 2.5 m is .* 0.15 m: give 2.4 m or 2.55 m"),
+        ({"float_pitch": 0.15, "guide_length": 1.0}, r"guide_length = 1 m is .* 0.15 m: give 1.05 m$"),
+        ({"float_pitch": 0.1234}, "float_pitch = 0.1234 m is not a whole multiple of 0.001 m: give 0.123 m or 0.124 m"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            Design.model_validate(fields).check_whole_pitches()
+
+
 def test_broken_design_files_are_named(tmp_path):
     path = tmp_path / "broken.toml"
     for text, problem in BROKEN.items():

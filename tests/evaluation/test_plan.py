@@ -15,15 +15,16 @@ from plans import CONFIG, make_plan
 from agents.evaluation import evaluate
 from agents.evaluation.folder import episodes_of
 from agents.evaluation.kpis import PROFILE_COLUMNS
-from agents.evaluation.plan import Plan, RolloutRunner, per_metre, run_plan
+from agents.evaluation.plan import Plan, RolloutRunner, core_seconds, per_metre, run_plan
 from agents.evaluation.run import evaluate_plan, plan_of
 from agents.policies.cases import load_case
-from agents.policies.catalogue import make_policy
+from agents.policies.catalogue import make_policy, named_policies
 from agents.policies.fixed import Constant
-from probe_env import Context, Scene
+from agents.terminal.work import Work
+from probe_env import Context, Scene, load_contexts
 from probe_env.design import RANGES
 from probe_env.envs.task import TaskConfig
-from probe_env.fidelity import ROUND_TRIP_PRESETS
+from probe_env.fidelity import PRESETS, ROUND_TRIP_PRESETS
 
 
 def same(one, other):
@@ -202,3 +203,24 @@ def test_bad_arguments_are_named_and_nothing_is_written(tmp_path):
         with pytest.raises(ValueError, match=message):
             run(*arguments)
     assert not (tmp_path / "out").exists()
+
+
+def test_the_estimated_time_scales_with_the_fidelity_and_the_planner_s_candidates():
+    """Four times the motion at standard; 16 candidates for four of every two periods are 32 more insertions."""
+    config, tube = TaskConfig().full_observation, load_contexts("test")[:1]
+    policies = named_policies(["constant", "planner"], config)
+    fast, standard = (Plan(policies, tube, (0,), config, PRESETS[name]) for name in ("fast", "standard"))
+    one = core_seconds(fast, "constant")
+    assert core_seconds(standard, "constant") == pytest.approx(4.0 * one)
+    assert core_seconds(fast, "planner") == pytest.approx(33.0 * one)
+    assert core_seconds(Plan(policies, tube, (0,), config, PRESETS["surrogate"]), "constant") == 0.0
+
+
+def test_a_time_of_more_than_a_minute_is_announced():
+    def text(seconds, stored=2):
+        return Work("episode", 62, lambda: stored, "out", seconds=seconds).remaining_text()
+
+    assert text(0.9) == "60 of 62 episodes to do, stored in out one by one"
+    assert text(3.0) == "60 of 62 episodes to do, about 3 min, stored in out one by one"
+    assert text(180.0) == "60 of 62 episodes to do, about 3 h, stored in out one by one"
+    assert text(180.0, 62) == ""

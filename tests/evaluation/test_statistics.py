@@ -69,7 +69,7 @@ def test_ratio_intervals_cover_and_equal_the_normal_ones(seeds):
 
 
 def test_means_of_special_cases():
-    assert mean_interval(np.array([2.0])) == Interval(2.0, 2.0, 2.0)
+    assert mean_interval(np.array([2.0])).text() == "2"
     assert mean_interval(np.full(5, 1.5)) == Interval(1.5, 1.5, 1.5)
     with pytest.raises(ValueError, match="one or more finite"):
         mean_interval(np.array([1.0, np.nan]))
@@ -116,6 +116,7 @@ def test_the_share_of_the_planners_lead():
     table = pd.DataFrame(rows)
     assert share_of_lead(table, "mine").mean == pytest.approx(4.5 / 9.0)
     assert any("over best-schedule 50 [" in line for line in comparison_lines(table, "best-schedule"))
+    assert share_of_lead(table[table["context"] == 0], "mine").text(100.0) == "50"
     with pytest.raises(ValueError, match="same contexts"):
         share_of_lead(table[(table["policy"] != "mine") | (table["context"] > 0)], "mine")
 
@@ -186,6 +187,18 @@ def test_the_mean_curve_counts_and_not_the_mean_depth():
     assert depths_of(table).iloc[0]["a90_percent_wall"] == 100.0
     curve = 0.8 * pod_gaussian(snr_at(Sensor(), np.array([8.0])), 4.6)[0]
     assert depths_of(table).iloc[0]["a50_percent_wall"] == pytest.approx(100 * depth_found(curve, 0.5), rel=1e-3)
+
+
+def test_one_tube_has_an_a90_but_no_interval_no_band_and_no_a90_95():
+    table = found(one=[7.5])
+    depths = depths_of(table).iloc[0]
+    assert depths["a90_percent_wall"] == pytest.approx(20.0 * (4.6 + 1.2816) / 7.5, rel=2e-3)
+    assert np.isnan(depths["a90_95_percent_wall"])
+    assert bands(table)[["low", "high"]].isna().all(axis=None)
+    table = synthetic(41.0, contexts=1)
+    rows = summarise(table).set_index("kpi")
+    assert rows["mean"].notna().all()
+    assert rows[["low", "high"]].isna().all(axis=None)
 
 
 def test_bands_and_curves_of_a_stored_evaluation(tmp_path, capsys):

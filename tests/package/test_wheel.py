@@ -183,7 +183,9 @@ def test_without_an_extra_one_line_names_it(run, tmp_path):
         (["app", "--port", "0", "--no-show"], "app"),
     ):
         printed, error = run("probe-env", *arguments, status=2, PYTHONPATH=hidden)
-        line = r'probe-env: error: this command needs (\w+), which is not installed: pip install "probe-env\[(\w+)\]"\n'
+        line = (
+            rf'probe-env: error: {arguments[0]} needs (\w+), which is not installed: pip install "probe-env\[(\w+)\]"\n'
+        )
         match = re.fullmatch(line, error)
         assert printed == ""
         assert match, (arguments, error)
@@ -199,8 +201,12 @@ def test_a_plain_install_is_the_simulator_and_the_environments(run, tmp_path):
     assert run("python", "-c", f"{code}; print('reset')", PYTHONPATH=hidden)[0] == "reset\n"
     loaded = set(run("python", "-c", f"{code}; print(*sys.modules)")[0].split())
     assert not loaded & {"agents", "matplotlib", "pandas", *COMMANDS, *BEYOND}
-    line = 'this command needs tyro, which is not installed: pip install "probe-env[commands]"'
-    for arguments in (["simulate", "fig11_l10"], ["agents"], ["train", "ppo"]):
+    for arguments, extra in (
+        (["simulate", "fig11_l10"], "commands"),
+        (["agents"], "commands"),
+        (["train", "ppo"], "agents"),
+    ):
+        line = f'{arguments[0]} needs tyro, which is not installed: pip install "probe-env[{extra}]"'
         assert run("probe-env", *arguments, status=2, PYTHONPATH=hidden) == ("", f"probe-env: error: {line}\n")
     assert "usage: probe-env" in run("probe-env", "--help", PYTHONPATH=hidden)[0]
 

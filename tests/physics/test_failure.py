@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from probe_env import Scene, SimulationError, Simulator, StabilityWarning
 from probe_env.physics.methods import METHODS
+from probe_env.physics.methods.newmark import Newmark
 
 SHORT = Scene(carrier_length=10.0)
 
@@ -51,6 +52,20 @@ def test_without_damping_no_stable_step_is_known():
     with pytest.warns(StabilityWarning):
         simulator = Simulator(scene)
     assert simulator.stable_time_step == 0.0
+
+
+def test_a_method_without_a_measured_limit_claims_none():
+    """Neither does its divergence: an explanation by buckling would need a limit that it keeps to."""
+
+    class Unmeasured(Newmark):
+        name = "unmeasured"
+
+    assert METHODS["newmark"].stable_step(SHORT, 4) == pytest.approx(1.8 / np.sqrt(1e5 / (0.111 * 0.1 / 4)))
+    assert Unmeasured().stable_step(SHORT, 4) == 0.0
+    with pytest.warns(StabilityWarning, match="time_step = 0.001 s has no known limit with unmeasured for this scene"):
+        simulator = Simulator(SHORT, Unmeasured(), 1e-3)
+    with pytest.raises(SimulationError, match=r"no time step is known to be stable with unmeasured .* a shorter one"):
+        simulator.run(2.0, 1e-3)
 
 
 def test_bad_constructor_arguments():

@@ -173,6 +173,20 @@ def test_it_is_written_without_a_simulation(tmp_path: Path, capsys: pytest.Captu
     assert "my is for the insertion; the withdrawal is at the fastest feed" in capsys.readouterr().out
 
 
+@pytest.mark.filterwarnings("ignore:.*the calibration is misspecified")
+@pytest.mark.parametrize("misspecified", [False, True])
+def test_a_misspecified_calibration_needs_anyway(
+    misspecified: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "c.json").write_text(json.dumps({"misspecified": misspecified, "draws": {"friction": [0.12, 0.15]}}))
+    (tmp_path / "tube.toml").write_text(f'posterior = "c.json"\n{TUBE}')
+    tube, output = str(tmp_path / "tube.toml"), tmp_path / "my.csv"
+    arguments = ["--tube", tube, "--output", str(output), "--no-simulated"]
+    assert (main(["recommend", *arguments]) == 0) == output.exists() == (not misspecified)
+    assert ("tube.toml: posterior: the calibration is misspecified" in capsys.readouterr().err) == misspecified
+    assert main(["recommend", *arguments, "--anyway"]) == 0
+
+
 def test_what_is_refused_writes_nothing(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -109,6 +109,13 @@ def test_pickles_are_refused_and_not_executed(tmp_path):
     assert victim.exists()  # so the poison would have worked
 
 
+def test_statistics_of_another_number_of_observations_are_refused():
+    statistics = {"mean": (0.0,), "var": (1.0,), "clip_obs": 10.0, "epsilon": 1e-8}
+    fields = described().model_dump() | {"normalisation": statistics}
+    with pytest.raises(ValueError, match="normalisation: mean and var must have 33 values each"):
+        Description.model_validate(fields)
+
+
 def test_a_changed_file_is_named(tmp_path):
     path = tmp_path / "agent.safetensors"
     agent = saved(path)

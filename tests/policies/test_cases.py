@@ -91,6 +91,14 @@ def test_domains_know_other_probes_if_a_policy_was_made_for_them_and_reach_as_fa
         assert whole[name][0] <= low < high <= whole[name][1]
 
 
+def test_a_hundredth_of_the_range_is_no_other_tube():
+    """Friction up to 0.25, a range of 0.15, and one helix diameter only."""
+    domain = Domain({"friction": (0.1, 0.25), "helix_diameter": (2.0, 2.0)}, 0.0242, 60.0, None)
+    for friction, diameter, deviations in ((0.2514, 2.0, 0), (0.2516, 2.0, 1), (0.0986, 2.001, 0), (0.0984, 2.01, 2)):
+        tube = Context(friction=friction, helix_diameter=diameter)
+        assert len(domain.outside(TaskConfig(), [tube])) == deviations
+
+
 def test_an_agent_acts_the_same_in_wider_ranges():
     """What it asks for is in SI units the same, and so is what it sees of its last action."""
     usual = TaskConfig().full_observation

@@ -1,13 +1,14 @@
 """The laws for a PLC: friction, form, trim, their text run by an interpreter, table and warnings."""
 
 import json
+import re
 import warnings
 
 import numpy as np
 import pytest
 
 from agents.cli import main
-from agents.plant.plc_export import structured_text, table, write_law
+from agents.plant.plc_export import recipe_of, structured_text, table, write_law
 from agents.policies.cases import load_case
 from agents.policies.catalogue import OLD_NAMES, make_policy, name_and_spec
 from agents.policies.plc_law import (
@@ -28,9 +29,13 @@ from agents.policies.plc_law import (
     read_trim,
 )
 from agents.policies.policy import OutsideDomain
+from probe_env import Plant
+from probe_env.envs.plants import Posterior, Supply, Tubes
 from probe_env.envs.task import TaskConfig
 from probe_env.files import FileError
+from probe_env.inspection.sensor import BAND, ENERGY, Sensor
 from probe_env.physics.closed_forms import sliding_tension
+from probe_env.schedule import Schedule
 from tests.oracles.structured_text import FunctionBlock, block_inputs
 
 CONFIG = TaskConfig().full_observation
@@ -173,6 +178,37 @@ def test_text_has_no_exponents_and_a_table_says_what_the_law_does():
     expected = law_at(constants, PLANT, (length, friction, quiet, diameter))
     assert (feed, air / 3600.0) == (pytest.approx(expected[0], rel=1e-12), pytest.approx(expected[1], rel=1e-12))
     assert set(tabulated["air_supply_m3_per_h"].round(6)) == {45.0, 130.0}
+
+
+def test_the_text_begins_with_the_recipe_and_ends_with_the_scaling_of_the_noise():
+    """Plant units in the recipe; 0.1 mm of motion are volts of the channel by the sensor's gain."""
+    schedule = Schedule("inserted_length", "linear", (5.0, 60.0), (0.4, 0.08519), (0.0125, 130.0 / 3600.0))
+    sensor = Sensor(motion_gain=2500.0)
+    text = structured_text(read_constants(), PLANT, recipe=schedule, sensor=sensor)
+    recipe, _, rest = text.partition("FUNCTION_BLOCK")
+    rows = [line.split() for line in recipe.splitlines()]
+    assert ["5", "400.0", "45.0"] in rows
+    assert ["60", "85.2", "130.0"] in rows
+    assert "length [m]   feed [mm/s]   air [m3/h]" in recipe
+    scaling = rest.partition("END_FUNCTION_BLOCK")[2]
+    assert "Noise := NoiseV / 2500.0," in scaling
+    assert "It is motion_gain in [sensor]" in scaling
+    assert FunctionBlock(text).fixed == FunctionBlock(structured_text(read_constants(), PLANT)).fixed
+    # with shaken_snr, white motion of 0.1 mm rms in the flaw's band and the noise at rest leave this ratio
+    volts = float(re.search(r"NoiseV / ([\d.]+)", structured_text(read_constants(), PLANT))[1])
+    motion = 2.0 * ENERGY * BAND * Sensor().groove_signal ** 2 / (volts * 1e-4) ** 2
+    assert (1.0 / motion + Sensor().quiet_snr ** -2) ** -0.5 == pytest.approx(Sensor().shaken_snr, rel=1e-5)
+    refused = structured_text(read_constants(), PLANT, recipe="too little (air*)")
+    assert refused.startswith("(* No recommended schedule: too little (air) *)")
+
+
+def test_a_recipe_is_the_recommended_schedule_or_says_why_there_is_none():
+    recipe = recipe_of(Plant(tube=Tubes(helix_length=24.0)))
+    assert recipe.position[-1] == 24.0
+    weak = Plant(air=Supply(air_supply_rates=(0.002, 0.004)), task={"required_tension": 5.0})
+    assert "the most air gives a root tension of only" in recipe_of(weak)
+    wrong = Posterior(friction=(0.1, 0.2), misspecified=True)
+    assert "misspecified" in recipe_of(Plant(posterior=wrong))
 
 
 def test_stored_constants_go_by_name_and_damaged_files_are_refused(tmp_path):

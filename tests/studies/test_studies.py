@@ -19,7 +19,7 @@ from agents.policies.fixed import PI, Constant
 from agents.records.shipped import shipped_folder, shipped_names
 from agents.studies import run as runs
 from agents.studies.builtin import BUILT_IN
-from agents.studies.compare import baselines, compare, key_columns
+from agents.studies.compare import _cell, baselines, compare, key_columns
 from agents.studies.run import Setting, expand
 from agents.studies.spec import Study
 from probe_env import load_contexts
@@ -305,3 +305,22 @@ def test_policies_of_a_plant_are_recommended_for_it(tmp_path: Path) -> None:
     for setting in settings:
         assert setting.plan.config.scene.tube.inner_diameter == setting.values["plant.tube.inner_diameter"]
         assert list(named_policies(["pi"], setting.plan.config)) == ["pi"]
+
+
+def test_cells_without_an_interval_have_none() -> None:
+    """Of one tube, and of the baseline itself."""
+    cases = (
+        (2.0, 1.0, 3.0, "5 (+2 [1, 3])"),
+        (2.0, np.nan, np.nan, "5 (+2)"),
+        (0.0, 0.0, 0.0, "5"),
+        (0.0, np.nan, np.nan, "5"),
+    )
+    for difference, low, high, text in cases:
+        row = {
+            "metric": "reward",
+            "mean": 5.0,
+            "difference": difference,
+            "difference_low": low,
+            "difference_high": high,
+        }
+        assert _cell(row) == text

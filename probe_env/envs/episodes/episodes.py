@@ -91,7 +91,9 @@ class Episodes:
             raise ValueError(f"num_envs = {count!r} is outside the accepted range 1 and more")
         self.config, self.allow_standstill = config, allow_standstill
         feed_speed, air_supply_rate = settling(config, settings)
-        self.sampler = EpisodeSampler(config, arguments["contexts"], arguments["probes"], feed_speed, air_supply_rate)
+        self.sampler = EpisodeSampler(
+            config, arguments["contexts"], arguments["probes"], feed_speed, air_supply_rate, arguments["in_turn"]
+        )
         self.fidelity = resolve_fidelity(arguments["fidelity"], self.sampler.stiffest, config.growing, config.returns)
         check_fidelity(self.fidelity, config)
         self.start_action = config.action(feed_speed, air_supply_rate)
@@ -101,6 +103,7 @@ class Episodes:
         self.meter, self.sensors = SnrEstimator(config.sensor, count, SAMPLE_PERIOD), SensorModel(config, count)
         self.context = [Context()] * count
         self.rng = [np.random.default_rng(k) for k in range(count)]
+        self.episode = np.zeros(count, dtype=int)
         self.actions = np.tile(self.start_action, (count, 1))
         self.running = np.zeros(count, dtype=bool)
         self.window: Window | None = None
@@ -158,6 +161,7 @@ class Episodes:
         new.scorer, new.meter, new.sensors = self.scorer.fork(which), self.meter.fork(which), self.sensors.fork(which)
         new.context, new.rng = [self.context[k] for k in which], [copy.deepcopy(self.rng[k]) for k in which]
         new.actions, new.running, new.window = self.actions[list(which)], self.running[list(which)], None
+        new.episode = self.episode[list(which)]
         return new
 
     def reset(
@@ -176,15 +180,17 @@ class Episodes:
                 ``limits``; nothing has been changed.
         """
         prepared: dict[int, tuple[Context, Scene]] = {}
+        # a new generator, of a reset with a seed, begins at the first tube again
+        episodes = {k: self.episode[k] + 1 if rngs[k] is self.rng[k] else 0 for k in which}
         with restored_on_error(rngs[k] for k in which):
             for k in which:
-                prepared[k] = self.sampler.draw(rngs[k], (options or {}).get(k) or {})
+                prepared[k] = self.sampler.draw(rngs[k], (options or {}).get(k) or {}, k + episodes[k] * len(self))
                 try:
                     check_start(prepared[k][1], self.fidelity, self.config)
                 except ValueError as error:
                     raise ValueError(f"environment {k}: {error}" if len(self) > 1 else str(error)) from error
         for k, (context, scene) in prepared.items():
-            self.rng[k], self.context[k] = rngs[k], context
+            self.rng[k], self.episode[k], self.context[k] = rngs[k], episodes[k], context
             seed = int(rngs[k].integers(2**31))
             simulator = Simulator(scene, *self.fidelity.numerics, seed=seed, **self._options())
             self.batch.replace(k, simulator)

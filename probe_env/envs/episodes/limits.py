@@ -49,7 +49,10 @@ def check_fidelity(fidelity: Fidelity, config: TaskConfig) -> None:
     if not fidelity.simulates:
         raise ValueError("fidelity = 'surrogate' simulates no motion, which is needed here: use fast or finer")
     if fidelity.time_lapse > 1.0 and not config.growing:
-        raise ValueError(f"fidelity.time_lapse = {fidelity.time_lapse:g} needs a growing probe: use standard")
+        raise ValueError(
+            f"fidelity.time_lapse = {fidelity.time_lapse:g} (as in 'fast') skips metres of an insertion, and the length"
+            " of this probe is constant: use fidelity 'standard', or settings with time_lapse = 1"
+        )
     whole_steps("config.period / fidelity.time_lapse", config.period / fidelity.time_lapse, fidelity.time_step)
     if config.returns or fidelity.steady_feed is not None:
         whole_steps("config.period", config.period, fidelity.time_step)
@@ -75,7 +78,7 @@ def check_simulable(scene: Scene, fidelity: Fidelity, longest: float, most_air: 
         ) from error
     if fidelity.time_step > limit * (1.0 + 1e-9):
         raise ValueError(
-            f"contact_stiffness = {stiffness:g} N/m: {fidelity.method} holds with a time step of at most {limit:.2g} s,"
+            f"contact_stiffness = {stiffness:g} N/m: {fidelity.method} needs a time step of at most {limit:.2g} s,"
             f" and that of this fidelity is {fidelity.time_step:g} s: give fidelity ="
             f" {_stable_settings(fidelity, scene)}"
         )
@@ -108,7 +111,7 @@ def check_simulable(scene: Scene, fidelity: Fidelity, longest: float, most_air: 
         at_start = _tension_step(fidelity.method, probe, start.tension, 0.0) == tension_limit
         pull = f"{start.tension:.3g} N as it starts from rest" if at_start else f"{end.tension:.3g} N as it slides"
         raise ValueError(
-            f"{tube}: drag pulls the probe with {pull}: {fidelity.method} holds with a time step of at most"
+            f"{tube}: drag pulls the probe with {pull}: {fidelity.method} needs a time step of at most"
             f" {tension_limit:.2g} s, and that of this fidelity is {fidelity.time_step:g} s: give fidelity ="
             f" {_stable_settings(fidelity, scene, start.tension, end.tension)}"
         )

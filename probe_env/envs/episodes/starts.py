@@ -50,13 +50,14 @@ class EpisodeSettings(SceneSettings, total=False):
     feed_speed: float
     air_supply_rate: float
     probes: Probes
+    in_turn: bool
     surrogate_map: VibrationMap | str | Path | None
 
 
 DEFAULTS: Final[EpisodeSettings] = {
     "tube": None, "scene": None, "fidelity": "standard", "contexts": "random",
     "feed_speed": SETTLING[0], "air_supply_rate": SETTLING[1], "probes": "scene",
-    "surrogate_map": None,
+    "in_turn": False, "surrogate_map": None,
 }  # fmt: skip
 
 
@@ -81,18 +82,24 @@ def restored_on_error(rngs: Iterable[np.random.Generator]) -> Iterator[None]:
 
 @dataclass(frozen=True)
 class EpisodeSampler:
-    """Samples tube and probe of an episode, see ``EpisodeSettings``; ValueError for unknown contexts or probes."""
+    """Samples tube and probe of an episode, see ``EpisodeSettings``; ValueError for arguments that are not valid."""
 
     config: TaskConfig
     contexts: Contexts
     probes: Probes
     feed_speed: float
     air_supply_rate: float
+    in_turn: bool = False
 
     def __post_init__(self) -> None:
         if self.probes not in get_args(Probes):
             raise ValueError(f"probes = {self.probes!r} is not one of {', '.join(get_args(Probes))}")
-        object.__setattr__(self, "contexts", checked_contexts(self.contexts))
+        checked = checked_contexts(self.contexts)
+        if self.in_turn and isinstance(checked, Ranges):
+            raise ValueError(
+                f"in_turn = True needs a list of tubes: contexts = {', '.join(map(repr, SPLIT_SIZES))} or your own"
+            )
+        object.__setattr__(self, "contexts", checked)
 
     @property
     def scene(self) -> Scene:
@@ -111,15 +118,20 @@ class EpisodeSampler:
             update |= {"probe": probe, "carrier_length": whole_pitches(self.scene.carrier_length, probe)}
         return self.scene.model_copy(update=update | (WITHDRAWAL_SCENE if self.config.returns else {}))
 
-    def draw(self, rng: np.random.Generator, options: Mapping[str, Any]) -> tuple[Context, Scene]:
+    def draw(self, rng: np.random.Generator, options: Mapping[str, Any], turn: int) -> tuple[Context, Scene]:
         """Context and scene of an episode; ``options`` of ``Episodes.reset`` do not change the random numbers.
+
+        ``turn`` is the index of the tube with ``in_turn``; after the last tube the first follows.
 
         Raises:
             ValueError: an option is unknown or not valid.
         """
         fixed = dict(options)
         changes: dict[str, Any] = {name: fixed.pop(name) for name in ("probe", "carrier_length") if name in fixed}
-        context = sample_context(self.contexts, rng, fixed)
+        source = self.contexts
+        if self.in_turn and not isinstance(source, str | Mapping | Ranges):
+            source = [source[turn % len(source)]]
+        context = sample_context(source, rng, fixed)
         design = Design.random(rng).cut_to(self.scene).built.model_dump() if self.probes == "random" else {}
         changes["probe"] = design | dict(changes.get("probe", {}))
         return context, self.build(context, changes)

@@ -75,8 +75,8 @@ class Method(ABC):
         return 1
 
     def stable_step(self, scene: Scene, nodes_per_pitch: int) -> float:
-        """Largest step [s] known to be stable; 0 if none is known."""
-        return stability.known_step(scene, nodes_per_pitch)
+        """Largest step [s] known to be stable; 0 if none is known, as for methods that were not measured."""
+        return stability.known_step(scene, nodes_per_pitch) if self.name in stability.MEASURED else 0.0
 
     def contact_step(self, scene: Scene, nodes_per_pitch: int) -> float:
         """Largest step [s] that contact allows for any damping and mesh; larger steps diverge."""

@@ -25,6 +25,8 @@ from probe_env.physics.methods.factors import node_matrices
 from probe_env.physics.model.chain import Chain, build_chain
 from probe_env.scene import Scene
 
+MEASURED = ("newmark", "wilson", "imex", "imex32")
+"""Methods that ``known_step`` was measured for; others declare their own ``stable_step``."""
 FULL, REDUCED = 1.8, 0.6  # omega dt
 EXPLICIT_MARGIN = 0.95
 TABLE_2_DAMPING = 5e-5  # [s]

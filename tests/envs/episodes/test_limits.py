@@ -28,7 +28,7 @@ FIDELITIES = {name: PRESETS[name] for name in ("study", "reference", "standard")
 }
 IDS = ("probe_env/Insertion-v1", "probe_env/Snapshot-v1")
 REFUSED = {
-    "contact_stiffness = 1e+06 N/m: superelement32 holds with a time step of at most 7.6e-05 s, and that of this"
+    "contact_stiffness = 1e+06 N/m: superelement32 needs a time step of at most 7.6e-05 s, and that of this"
     " fidelity is 0.0002 s: give fidelity = {'method': 'superelement32', 'time_step': 5e-05,": {
         "contact_stiffness": 1e6
     },
@@ -64,7 +64,7 @@ PULLED = [
 def test_a_step_that_is_unstable_under_drag_is_refused_with_a_stable_one(context, how, method):
     env_id = IDS[how == REST]
     fidelity = {"method": method, "time_step": 2e-4}
-    with pytest.raises(ValueError, match=rf"drag pulls the probe with \S+ N {how}: \w+ holds with a") as error:
+    with pytest.raises(ValueError, match=rf"drag pulls the probe with \S+ N {how}: \w+ needs a") as error:
         gym.make(env_id, fidelity=fidelity).reset(seed=0, options=context)
     fidelity = ast.literal_eval(str(error.value).split("give fidelity = ")[1])
     assert fidelity["time_step"] < 2e-4
