@@ -28,6 +28,7 @@ from agents.app.screens.widgets import REPORT_URL
 from agents.app.state import AppState
 from agents.records.shipped import file_or_shipped
 from probe_env import Plant
+from probe_env.files import escaped
 
 HOSTS: Final = ("localhost", "127.0.0.1")
 LOGIN_URL: Final = "/login"
@@ -139,7 +140,8 @@ def serve(tube: Path | None, port: int, output: Path, show: bool) -> None:
         server.start()
         address = f"http://localhost:{server.port}{LOGIN_URL}?token={token}"
         with suppress(KeyboardInterrupt):  # raised by a signal, see agents.cli.interrupts
-            print(f"the page is at {address} (Ctrl-C ends it); results are stored in {output}/", flush=True)
+            page = f"the page is at {address} (Ctrl-C ends it)"
+            print(escaped(f"{page}; results are stored in {output}/"), flush=True)
             if show:
                 webbrowser.open(address)
             # not run_until_shutdown: its handler of SIGTERM prints, which fails where the reader of stdout is gone

@@ -31,7 +31,7 @@ from agents.records.drawing import BLUE, GRID, RED, save
 from agents.records.manifest import commit, write_manifest
 from agents.records.searches import JOURNAL, open_study, run_lock
 from agents.records.store import COMMIT
-from agents.terminal.tables import print_table
+from agents.terminal.tables import print_line, print_table
 from agents.terminal.work import Work, announce
 from probe_env import Design
 from probe_env.design import RANGES
@@ -167,7 +167,7 @@ def run_design_search(
     files = ("trials.csv", "front.csv", "sensitivity.csv", "found.toml")
     write_manifest(output, files, seeds=(seed,), commits=table[COMMIT], **problem.setting, **setting)
     _print(front, influence, problem)
-    print(f"written: {output}/ (front.csv, trials.csv, sensitivity.csv, front.png, found.toml)")
+    print_line(f"written: {output}/ (front.csv, trials.csv, sensitivity.csv, front.png, found.toml)")
     return table
 
 

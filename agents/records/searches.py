@@ -8,7 +8,7 @@ import os
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
 import optuna
 from filelock import FileLock, Timeout
@@ -16,10 +16,19 @@ from optuna.storages import JournalStorage
 from optuna.storages.journal import JournalFileBackend
 from optuna.trial import TrialState
 
+from agents.records.atomic import named
 from probe_env.files import MEBI, FileError, one_line, read_bytes
 
 JOURNAL: Final = "study.jsonl"
 MAX_JOURNAL: Final = 1024 * MEBI
+
+
+class _Journal(JournalFileBackend):
+    """Optuna's journal, whose errors name the file."""
+
+    def append_logs(self, logs: list[dict[str, Any]]) -> None:
+        with named(self._file_path):
+            super().append_logs(logs)
 
 
 @contextmanager
@@ -62,7 +71,7 @@ def open_study(
     try:
         _check_lines(path)
         Path(f"{path}.lock").unlink(missing_ok=True)  # Optuna would wait half a minute for it
-        storage = JournalStorage(JournalFileBackend(str(path)))
+        storage = JournalStorage(_Journal(str(path)))
         if name in optuna.get_all_study_names(storage):
             study = optuna.load_study(study_name=name, storage=storage)
         else:

@@ -34,13 +34,13 @@ class Work:
         """Number of units to do; empty if none."""
         left = self.total - self.stored()
         share = _count(left, self.unit) if left == self.total else f"{left} of {_count(self.total, self.unit)}"
-        return f"{share} to do, stored in {self.folder} one by one" if left > 0 else ""
+        return f"{share} to do, stored in {_escaped(self.folder)} one by one" if left > 0 else ""
 
     def stored_text(self) -> str:
         """Number of stored units, and how to continue."""
         stored = self.stored()
         verb = "is" if stored == 1 else "are"
-        return f"{stored} of {_count(self.total, self.unit)} {verb} stored in {self.folder}; {self.advice}"
+        return f"{stored} of {_count(self.total, self.unit)} {verb} stored in {_escaped(self.folder)}; {self.advice}"
 
 
 _current: list[Work] = []
@@ -77,9 +77,15 @@ def stored_text() -> str:
     if not files:
         return "nothing was stored"
     folders = list(dict.fromkeys(path.parent for path in files))
-    names = [path.name for path in files[:FILES_NAMED]] + ["..."] * (len(files) > FILES_NAMED)
+    names = [_escaped(path.name) for path in files[:FILES_NAMED]] + ["..."] * (len(files) > FILES_NAMED)
     verb = "is" if len(files) == 1 else "are"
-    return f"{', '.join(names)} {verb} stored in {', '.join(map(str, folders))}; nothing else is"
+    return f"{', '.join(names)} {verb} stored in {', '.join(map(_escaped, folders))}; nothing else is"
+
+
+def _escaped(path: Path | str) -> str:
+    from probe_env.files import escaped  # loaded where there is work
+
+    return escaped(str(path))
 
 
 def _count(number: int, unit: str) -> str:

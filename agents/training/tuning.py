@@ -27,7 +27,7 @@ from agents.records.manifest import origin as made_by
 from agents.records.manifest import write_manifest
 from agents.records.models import Stored, validate
 from agents.records.searches import JOURNAL, open_study, run_lock
-from agents.terminal.tables import print_table
+from agents.terminal.tables import print_line, print_table
 from agents.terminal.work import Work, announce
 from agents.training.config import Axis, Training, axes_of, value_in, with_values
 from agents.training.train import CHECKPOINT, prepare, train
@@ -220,7 +220,7 @@ def run_tuning(training: Training, trials: int, phases: int | None, output: Path
     setting = json.loads(tuning.model_dump_json()) | {"space": space, "trials": len(table), "best": number}
     write_manifest(output, (TRIALS, "found.toml"), seeds=(seed,), commits=table["commit"], **setting)
     _print(table)
-    print(f"written: {output}/ (found.toml, trials.csv, search.png, manifest.json, trials/)")
+    print_line(f"written: {output}/ (found.toml, trials.csv, search.png, manifest.json, trials/)")
     return table
 
 

@@ -157,3 +157,18 @@ def test_a_signal_ends_the_idle_server_which_prints_nothing(number, tmp_path, mo
     loop.close()
     printed = capsys.readouterr()
     assert (printed.out.count("\n"), printed.err, closed) == (1, "", [True])
+
+
+def test_a_closed_page_takes_no_time(server, get, monkeypatch):
+    ticks = []
+    monkeypatch.setattr(Page, "tick", lambda page: ticks.append(page))
+
+    def wait():
+        ticks.clear()
+        server.io_loop.run_sync(lambda: asyncio.sleep(0.5))
+        return len(ticks)
+
+    assert [get("/").code for _ in range(3)] == [200] * 3
+    assert wait() > 0
+    server.io_loop.run_sync(lambda: server._tornado.applications["/"]._cleanup_sessions(0))
+    assert (server.get_sessions("/"), wait()) == ([], 0)
