@@ -69,6 +69,8 @@ def open_regular(path: str | Path, most: int) -> BinaryIO:
         raise
     except OSError as error:
         raise FileError(path, f"cannot be read: {error.strerror}") from error
+    except ValueError as error:  # such as a NUL character
+        raise FileError(path, f"not the name of a file: {error}") from error
     file = os.fdopen(handle, "rb") if stat.S_ISREG(os.fstat(handle).st_mode) else None
     if file is None:
         kind = "a folder" if stat.S_ISDIR(os.fstat(handle).st_mode) else "a pipe or a device"
