@@ -48,7 +48,8 @@ def one_line(text: str) -> str:
     """A text of bounded length for a terminal, with characters that are not printable replaced by escapes."""
     joined = "; ".join(part.strip() for part in text.splitlines() if part.strip()) if "\n" in text else text
     line = escaped(joined)
-    return line if len(line) <= LONGEST_LINE else f"{line[:LONGEST_LINE]} ..."
+    half = LONGEST_LINE // 2  # an error begins with the file and ends with the reason
+    return line if len(line) <= LONGEST_LINE else f"{line[:half]} ... {line[-half:]}"
 
 
 def escaped(text: str) -> str:

@@ -85,7 +85,7 @@ def open_study(
                 raise ValueError(f"the values of trial {trial.number} are not finite")
             if trial.state is TrialState.RUNNING:
                 study.tell(trial.number, state=TrialState.FAIL)
-    except FileError:
+    except (FileError, OSError):
         raise
     except Exception as error:  # any error of Optuna for a damaged journal
         reason = f"{type(error).__name__}: {one_line(str(error))}"

@@ -19,26 +19,27 @@ def format_error(error: Exception) -> str:
         return one_line(f"not enough memory: {error}" if str(error) else "not enough memory")
     if not isinstance(error, OSError):
         return one_line(str(error))
+    path = Path(str(error.filename))
+    if isinstance(error, FileNotFoundError) and not path.is_absolute() and _working_folder_deleted():
+        return "the working folder was deleted: change to another one"
     if error.filename is None:
-        gone = isinstance(error, FileNotFoundError) and not _has_working_folder()
-        return "the working folder was deleted: change to another one" if gone else one_line(str(error))
+        return one_line(str(error))
     file = escaped(str(error.filename))
     if isinstance(error, FileNotFoundError):
         hint = getattr(error, "hint", "")
-        missing = Path(str(error.filename))
-        if missing.is_dir():
+        if path.is_dir():
             return one_line(f"{file}: a folder, not a file" + (f" - {hint}" if hint else ""))
-        if not hint and not missing.parent.is_dir():
-            hint = f"there is no folder {escaped(str(missing.parent))}"
+        if not hint and not path.parent.is_dir():
+            hint = f"there is no folder {escaped(str(path.parent))}"
         return one_line(f"no such file: {file}" + (f" - {hint}" if hint else ""))
     if isinstance(error, FileExistsError | NotADirectoryError):
         return one_line(f"{file}: a file, where a folder is needed")
     return one_line(f"{file}: {error.strerror}")
 
 
-def _has_working_folder() -> bool:
+def _working_folder_deleted() -> bool:
     try:
         os.getcwd()
     except FileNotFoundError:
-        return False
-    return True
+        return True
+    return False

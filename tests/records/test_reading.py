@@ -113,7 +113,7 @@ def test_texts_and_errors(tmp_path):
     with pytest.raises(FileError, match="line 2: a number of more than 4300 digits"):
         read_text(path)
     assert one_line("a\nb\x1b[31m\u202e") == "a; b\\x1b[31m\\u202e"
-    assert len(one_line("x" * 10**6)) < 2100
+    assert one_line("a" + "x" * 10**6 + "z") == f"a{'x' * 999} ... {'x' * 999}z"
     assert str(FileError("a\nb", "c\nd")) == "a\\nb: c; d"
 
 
@@ -154,11 +154,9 @@ def test_errors_of_the_system_name_the_file(tmp_path, monkeypatch):
         (tmp_path / "b\n.jsonl", write_line),
         (tmp_path / "c.jsonl", lambda path: open_study(path, "known", ["minimize"], ["x"])),
     ):
-        with pytest.raises((OSError, FileError)) as error:
+        with pytest.raises(OSError, match="No space left") as error:
             write(path)
-        printed = format_error(error.value)
-        assert printed.startswith(str(path).replace("\n", "\\n"))
-        assert "No space left on device" in printed
+        assert format_error(error.value) == str(path).replace("\n", "\\n") + ": No space left on device"
     assert format_error(MemoryError()) == "not enough memory"
     assert format_error(MemoryError("Unable to allocate 8 GiB")) == "not enough memory: Unable to allocate 8 GiB"
 
@@ -172,6 +170,7 @@ def test_a_deleted_working_folder_is_named(tmp_path, monkeypatch):
     (tmp_path / "gone").mkdir()
     monkeypatch.chdir(tmp_path / "gone")
     (tmp_path / "gone").rmdir()
-    with pytest.raises(FileNotFoundError) as error:
-        Path().resolve()
-    assert format_error(error.value) == "the working folder was deleted: change to another one"
+    for work in (Path().resolve, Path("output").mkdir):
+        with pytest.raises(FileNotFoundError) as error:
+            work()
+        assert format_error(error.value) == "the working folder was deleted: change to another one"
