@@ -21,7 +21,7 @@ from probe_env.envs.env import (
 )
 from probe_env.envs.episodes.decisions import decide
 from probe_env.envs.episodes.starts import DEFAULTS, EpisodeSettings, resolve_settings
-from probe_env.envs.task import TaskConfig
+from probe_env.envs.task import TaskConfig, as_actions
 from probe_env.settings import check_keywords
 
 EnvId = Literal[
@@ -99,7 +99,7 @@ class ProbeVecEnv(VecEnv):
 
     def step_async(self, actions: np.ndarray) -> None:
         """Store the actions for ``step_wait``."""
-        self._actions = np.asarray(actions, dtype=np.float32)
+        self._actions = as_actions(actions, (self.num_envs, 2)).astype(np.float32)
 
     def step_wait(self) -> VecEnvStepReturn:
         """Apply the actions to all environments."""

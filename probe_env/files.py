@@ -37,7 +37,7 @@ class FileError(ValueError):
 
     def __init__(self, path: str | Path, problem: str) -> None:
         self.path, self.problem = str(path), problem
-        super().__init__(one_line(f"{path}: {problem}"))
+        super().__init__(one_line(f"{escaped(str(path))}: {problem}"))
 
     def __reduce__(self) -> tuple[object, ...]:
         """Make the error picklable, for worker processes."""
@@ -47,8 +47,14 @@ class FileError(ValueError):
 def one_line(text: str) -> str:
     """A text of bounded length for a terminal, with characters that are not printable replaced by escapes."""
     joined = "; ".join(part.strip() for part in text.splitlines() if part.strip()) if "\n" in text else text
-    line = "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in joined)
-    return line if len(line) <= LONGEST_LINE else f"{line[:LONGEST_LINE]} ..."
+    line = escaped(joined)
+    half = LONGEST_LINE // 2  # an error begins with the file and ends with the reason
+    return line if len(line) <= LONGEST_LINE else f"{line[:half]} ... {line[-half:]}"
+
+
+def escaped(text: str) -> str:
+    """A text with all characters that are not printable, also newlines, replaced by escapes."""
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text)
 
 
 def open_regular(path: str | Path, most: int) -> BinaryIO:
@@ -64,6 +70,8 @@ def open_regular(path: str | Path, most: int) -> BinaryIO:
         raise
     except OSError as error:
         raise FileError(path, f"cannot be read: {error.strerror}") from error
+    except ValueError as error:  # such as a NUL character
+        raise FileError(path, f"not the name of a file: {error}") from error
     file = os.fdopen(handle, "rb") if stat.S_ISREG(os.fstat(handle).st_mode) else None
     if file is None:
         kind = "a folder" if stat.S_ISDIR(os.fstat(handle).st_mode) else "a pipe or a device"
@@ -86,7 +94,7 @@ def read_bytes(path: str | Path, most: int) -> bytes:
                 content += file.read(most + 1 - len(content))
         except OSError as error:
             raise FileError(path, f"cannot be read: {error.strerror}") from error
-    if len(content) > most:  # it grew, or the file system does not report sizes
+    if len(content) > most:
         raise FileError(path, f"more than the {most} bytes that such a file may have")
     return content
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -143,6 +143,27 @@ def _kind(annotation: Any) -> tuple[Kind, tuple[str, ...]]:
     return ("integer" if annotation is int else "number"), ()
 
 
+class ReplaceError(FileError):
+    """Raised before a file is replaced."""
+
+
+def check_target(path: Path, read: Callable[[Path], object], replace: bool) -> None:
+    """Check that a file can be written: it does not exist, or ``read`` accepts it and ``replace`` is set.
+
+    Raises:
+        ReplaceError: ``replace`` is not set.
+        FileError: the existing file is of another kind.
+    """
+    if not os.path.lexists(path):
+        return
+    try:
+        read(path)
+    except (ValueError, OSError) as error:
+        raise FileError(path, "exists and is a file of another kind: choose another name") from error
+    if not replace:
+        raise ReplaceError(path, "exists: press replace to write over it, or choose another name")
+
+
 class TubeForm:
     """A tube file during editing.
 
@@ -198,12 +219,28 @@ class TubeForm:
         """Set the file of the calibration; raises as ``change``."""
         self._replace(POSTERIOR, text.strip())
 
-    def save(self, path: Path) -> None:
-        """Write the file."""
+    def save(self, path: Path, folder: Path, replace: bool = False) -> None:
+        """Write the file next to the opened one, which is where a name without a folder goes, or into ``folder``.
+
+        Args:
+            path: the file, or its name.
+            folder: folder of the app for tubes; for names if no file of the user is open.
+            replace: whether an existing tube file is replaced.
+
+        Raises:
+            ReplaceError: there is such a tube file, and ``replace`` is not set.
+            FileError: another folder, or an existing file of another kind.
+        """
         if path.suffix != ".toml":
             raise FileError(path, "a tube file must end with .toml")
         if ships("tubes", path):
             raise FileError(path, "this file ships with the project: choose another name")
+        folders = [folder] if self.path is None or ships("tubes", self.path) else [self.path.parent, folder]
+        if path.parent == Path():
+            path = folders[0] / path
+        if path.parent.resolve() not in [accepted.resolve() for accepted in folders]:
+            raise FileError(path, f"a tube file is saved in {' or '.join(map(str, folders))}: give a name alone")
+        check_target(path, Plant.from_toml, replace)
         self._write(path)
         self.open(path)
 

@@ -41,7 +41,7 @@ MIN_SAMPLES: Final = 100
 """Least number of samples of the sensor in a chart."""
 State = Literal["waiting", "running", "finished", "stopped", "failed"]
 ACTIVE: Final = ("waiting", "running")
-GRACE: Final = 2.0
+GRACE: Final = 0.5
 """Time that a worker has to end [s]."""
 
 

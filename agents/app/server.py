@@ -6,6 +6,7 @@ import gc
 import secrets
 import webbrowser
 from collections.abc import Collection
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
@@ -27,6 +28,7 @@ from agents.app.screens.widgets import REPORT_URL
 from agents.app.state import AppState
 from agents.records.shipped import file_or_shipped
 from probe_env import Plant
+from probe_env.files import escaped
 
 HOSTS: Final = ("localhost", "127.0.0.1")
 LOGIN_URL: Final = "/login"
@@ -118,7 +120,7 @@ class ReportHandler(RequestHandler):
 
 
 def serve(tube: Path | None, port: int, output: Path, show: bool) -> None:
-    """Serve the page until interrupted.
+    """Serve the page until interrupted by a signal.
 
     Args:
         tube: initial tube file, or name of a shipped one; None: the study's tubes.
@@ -137,10 +139,14 @@ def serve(tube: Path | None, port: int, output: Path, show: bool) -> None:
         server = make_server(app, path, port, token)
         server.start()
         address = f"http://localhost:{server.port}{LOGIN_URL}?token={token}"
-        print(f"the page is at {address} (Ctrl-C ends it); results are stored in {output}/", flush=True)
-        if show:
-            webbrowser.open(address)
-        server.run_until_shutdown()
+        with suppress(KeyboardInterrupt):  # raised by a signal, see agents.cli.interrupts
+            page = f"the page is at {address} (Ctrl-C ends it)"
+            print(escaped(f"{page}; results are stored in {output}/"), flush=True)
+            if show:
+                webbrowser.open(address)
+            # not run_until_shutdown: its handler of SIGTERM prints, which fails where the reader of stdout is gone
+            server.io_loop.start()
+        server.stop()
     finally:
         app.queue.close()
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from agents.app.forms import TubeForm
+from agents.app.forms import TubeForm, check_target
 from agents.app.run_store import new_folder
 from agents.app.runs import MANUAL, Command, Run, RunQueue, RunRequest
 from agents.app.schedules import Points, csv_text, points_of, schedule_of
@@ -55,10 +55,15 @@ class Session:
             raise FileError(path, str(error)) from error
         self.name = name_of(path)
 
-    def save_schedule(self, name: str) -> Path:
-        """Write the schedule to ``schedules/`` in the app's folder."""
+    def save_tube(self, name: str, replace: bool) -> Path:
+        """Write the tube file, see ``TubeForm.save``; the app's folder for them is ``tubes/``."""
+        self.tube.save(Path(name), self.app.output / "tubes", replace)
+        return self.tube.path or Path(name)
+
+    def save_schedule(self, name: str, replace: bool) -> Path:
+        """Write the schedule to ``schedules/`` in the app's folder; raises as ``check_target``."""
         self.name = checked_name(name.removesuffix(".csv"), "schedule")
-        return self._write_schedule(self.app.output / "schedules")
+        return self._write_schedule(self.app.output / "schedules", replace)
 
     def start(
         self, policies: Sequence[str], commands: Sequence[Command], with_schedule: bool = False, **options: Any
@@ -84,8 +89,9 @@ class Session:
         self.run = self.app.queue.add(RunRequest(policies=tuple(specs), output=folder, tube=tube, **options), commands)
         return self.run
 
-    def _write_schedule(self, folder: Path) -> Path:
+    def _write_schedule(self, folder: Path, replace: bool = False) -> Path:
         schedule_of(self.points, self.interpolation)
         path = folder / f"{self.name.replace('/', '-')}.csv"
+        check_target(path, Schedule.read, replace)
         write_atomically(path, csv_text(self.points, self.interpolation))
         return path

@@ -17,6 +17,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point of ``probe-env``; returns the exit status."""
     if arguments is None:  # the command itself, before numpy is loaded
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # the matrices are too small for threads
+    _open_closed_streams()
     with signal_handlers():
         try:
             return _run(sys.argv[1:] if arguments is None else list(arguments))
@@ -25,6 +26,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
         except BrokenPipeError:  # the reader of the pipe, such as head, has ended
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # discard further output
             return 1
+
+
+def _open_closed_streams() -> None:
+    """Discard output to streams that the caller has closed: progress must not end the work, nor go into its files."""
+    for number, name in ((1, "stdout"), (2, "stderr")):
+        if getattr(sys, name) is None:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), number)
+            os.set_inheritable(number, True)
+            setattr(sys, name, os.fdopen(number, "w", closefd=False))
 
 
 def _run(arguments: Sequence[str]) -> int:
@@ -76,7 +86,7 @@ def _run(arguments: Sequence[str]) -> int:
         return _fail(f'{name} needs {module}, which is not installed: pip install "probe-env[{extra}]"')
     except BrokenPipeError:
         raise
-    except (ValueError, OSError, SimulationError, RuntimeError) as error:
+    except (ValueError, OSError, SimulationError, RuntimeError, MemoryError) as error:
         return _fail(format_error(error))
     return 0
 

@@ -11,6 +11,7 @@ import tyro
 
 from agents.cli.parsing import File, hide_default
 from agents.evaluation.workers import Workers
+from agents.terminal.tables import print_line
 
 if TYPE_CHECKING:
     from probe_env import Design
@@ -64,7 +65,7 @@ class Compare:
         fidelity = resolve_fidelity(self.fidelity, config.scene)
         trials = DesignTrials(case.contexts, self.feed, self.full, fidelity, config, case.vibration, case.plant_label)
         print_comparison(compare(designs, trials, self.output))
-        print(f"written: {self.output}/ (designs.csv, summary.csv)")
+        print_line(f"written: {self.output}/ (designs.csv, summary.csv)")
 
 
 def _design(path: Path, probe: Probe) -> Design:

@@ -10,6 +10,7 @@ import tyro
 
 from agents.cli.parsing import File, hide_default
 from agents.evaluation.workers import Workers
+from agents.terminal.tables import print_line
 
 Policies = Annotated[tuple[str, ...], tyro.conf.arg(metavar="[POLICY ...]")]
 
@@ -64,7 +65,7 @@ class Evaluate:
         folder = Path(self.policies[0]) if len(self.policies) == 1 else Path()
         named = folder.is_dir() and len(folder.parts) > 1 and not folder.suffix
         if folder.parts and (named or is_evaluation(folder)):
-            print(f"written: {report_again(folder, self.against)}")
+            print_line(f"written: {report_again(folder, self.against)}")
             return
         arguments: dict[str, Any] = vars(self) | {"fidelity": parse_fidelity(self.fidelity)}
         evaluate(**arguments)
@@ -139,7 +140,7 @@ class Render:
             figures = render_episode(self.env_id, self.output, self.policy, self.every, self.seed, **options)
         for name, value in figures.items():
             print(f"{name:40s} {value:.6g}")
-        print(f"written: {self.output}")
+        print_line(f"written: {self.output}")
 
 
 @dataclass(frozen=True)

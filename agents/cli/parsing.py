@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import inspect
 import io
+import os
 import re
+import shutil
 from collections.abc import Sequence
 from contextlib import redirect_stderr
 from pathlib import Path
@@ -18,6 +20,8 @@ from probe_env.settings import explain
 OPTIONS: Final = {"Scene": "--scene", "Tube": "--scene.tube", "Probe": "--scene.probe", "Contact": "--scene.contact",
                   "Air": "--scene.air"}  # fmt: skip
 """Model -> prefix of its options."""
+NARROWEST: Final = 40
+"""Least width of the help [characters]."""
 
 
 def hide_default(metavar: str | None = None) -> Any:
@@ -41,6 +45,8 @@ def parse(name: str, kind: type[Any], arguments: Sequence[str], default: Any = N
     settings: dict[str, Any] = {} if default is None else {"default": default}
     settings |= {"prog": f"probe-env {name}", "description": inspect.getdoc(kind), "config": (tyro.conf.DisallowNone,)}
     printed = io.StringIO()
+    if shutil.get_terminal_size().columns < NARROWEST:
+        os.environ["COLUMNS"] = str(NARROWEST)  # tyro takes minutes to fit its help into fewer
     try:
         with redirect_stderr(printed):
             return tyro.cli(kind, args=arguments, **settings)

@@ -11,6 +11,7 @@ import tyro
 
 from agents.cli.parsing import File, hide_default
 from agents.evaluation.workers import Workers
+from agents.terminal.tables import print_line
 
 
 @dataclass(frozen=True)
@@ -58,7 +59,6 @@ class ReadLog:
         from agents.records.atomic import STANDARD_OUTPUT, write_text
         from agents.records.shipped import file_or_shipped
         from agents.terminal.names import name_of
-        from probe_env.files import one_line
 
         path = file_or_shipped("logs", self.file)
         output = self.output or Path("output") / f"{name_of(path)}-clean.csv"
@@ -85,7 +85,7 @@ class ReadLog:
         written = [output, *([draw_log(log, self.plot)] if self.plot else [])]
         if output not in STANDARD_OUTPUT:
             print_log(log, path)
-            print(one_line(f"written: {', '.join(map(str, written))}"))
+            print_line(f"written: {', '.join(map(str, written))}")
 
 
 @dataclass(frozen=True)
@@ -135,11 +135,11 @@ class Calibrate:
             draw_bands(calibration, self.output / "bands.png"),
         ]
         print_calibration(calibration, with_file=self.tube is not None)
-        print(f"written: {', '.join(map(str, (target, *pictures)))}")
+        print_line(f"written: {', '.join(map(str, (target, *pictures)))}")
         if calibration.misfits:
             print("do not use this posterior: recommend refuses a tube.toml that names it")
         else:
-            print(f'use it: posterior = "{target}" above the tables of your tube.toml')
+            print_line(f'use it: posterior = "{target}" above the tables of your tube.toml')
 
 
 @dataclass(frozen=True)
@@ -226,7 +226,7 @@ class Plc:
         write_law(constants, PlantData.of(case.config), case, self.st, self.csv, trim, recipe)
         if printed:
             for file in written:
-                print(f"written: {file}")
+                print_line(f"written: {file}")
             print_recipe(recipe)
             print_law(constants, trim)
 

@@ -11,6 +11,7 @@ import tyro
 
 from agents.cli.parsing import File, hide_default
 from agents.records.shipped import file_or_shipped
+from agents.terminal.tables import print_line
 from probe_env import Scene, Simulator
 from probe_env.physics.methods import METHODS, SOLVERS, method_named
 from probe_env.settings import within
@@ -68,8 +69,8 @@ class Simulate:
         simulator = Simulator(self.scene, method, step, self.nodes_per_pitch, solver=self.solver, start=self.start)
         stable = simulator.stable_time_step
         limit = "with any step" if math.isinf(stable) else f"up to {stable:.2g} s" if stable else "limit not known"
-        print(f"{name}: {simulator.chain.node_count} nodes, {self.method}, time step {step:g} s (stable: {limit})")
+        print_line(f"{name}: {simulator.chain.node_count} nodes, {self.method}, time step {step:g} s (stable: {limit})")
         begin = 0.25 * self.duration if self.statistics_from is None else self.statistics_from
         statistics = simulate_scene(simulator, self.duration, begin, output, name)
         print_statistics(statistics, f"{name}, t = {begin:g} to {self.duration:g} s")
-        print(f"written: {output}/ (scene.toml, results.json, signals.npz, figures)")
+        print_line(f"written: {output}/ (scene.toml, results.json, signals.npz, figures)")

@@ -10,6 +10,7 @@ import tyro
 
 from agents.cli.parsing import File, hide_default
 from agents.evaluation.workers import Workers
+from agents.terminal.tables import print_line
 
 
 @dataclass(frozen=True)
@@ -85,4 +86,4 @@ class Study:
         except ValueError as error:
             raise FileError(path, str(error)) from error
         write_comparison(spec, settings, run_study(settings, output, self.workers), output)
-        print(f"written: {output}/ (episodes.csv, comparison.csv, comparison.png)")
+        print_line(f"written: {output}/ (episodes.csv, comparison.csv, comparison.png)")

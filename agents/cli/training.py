@@ -10,6 +10,7 @@ import tyro
 
 from agents.cli.parsing import File, hide_default
 from agents.evaluation.workers import Workers
+from agents.terminal.tables import print_line
 
 
 @dataclass(frozen=True)
@@ -45,7 +46,7 @@ class Train:
         training = training.model_copy(update=update) if update else training
         output = self.output or Path("output/train") / self.config_file.stem
         print_curves(train_all(training, output, self.resume, self.workers))
-        print(f"written: {output}/seed-*/ (agent.safetensors: the best by validation, learning.csv, run.json, logs)")
+        print_line(f"written: {output}/seed-*/ (agent.safetensors: best in validation, learning.csv, run.json, logs)")
 
 
 @dataclass(frozen=True)

@@ -29,9 +29,9 @@ from agents.evaluation.workers import HERE, Workers
 from agents.records.atomic import write_atomically
 from agents.records.drawing import BLUE, GRID, RED, save
 from agents.records.manifest import commit, write_manifest
-from agents.records.searches import JOURNAL, open_study
+from agents.records.searches import JOURNAL, open_study, run_lock
 from agents.records.store import COMMIT
-from agents.terminal.tables import print_table
+from agents.terminal.tables import print_line, print_table
 from agents.terminal.work import Work, announce
 from probe_env import Design
 from probe_env.design import RANGES
@@ -146,14 +146,15 @@ def run_design_search(
         workers: workers that share the tubes of a trial.
 
     Raises:
-        ValueError: an argument is not valid; nothing is run.
+        ValueError: an argument is not valid, or another process works in the folder; nothing is run.
     """
     within("seed", seed, 0, 2**63, "")
     within("trials", trials, 2, 1_000_000, "")
     name = f"{problem.feed} {problem.identity()} seed {seed}"
-    claim(output, problem.plant_label)
     value = partial(problem.value, workers=workers)
-    table = trials_table(search(problem.axes, value, trials, output, name, seed=seed, starts=problem.starts()))
+    with run_lock(output):
+        claim(output, problem.plant_label)
+        table = trials_table(search(problem.axes, value, trials, output, name, seed=seed, starts=problem.starts()))
     front = table[table["on_front"]].sort_values("mean_square_ratio")
     influence, column = sensitivity(table, problem.axes), tube_column(problem.plant_label)
     for name, frame in (("trials", table), ("front", front), ("sensitivity", influence)):
@@ -166,7 +167,7 @@ def run_design_search(
     files = ("trials.csv", "front.csv", "sensitivity.csv", "found.toml")
     write_manifest(output, files, seeds=(seed,), commits=table[COMMIT], **problem.setting, **setting)
     _print(front, influence, problem)
-    print(f"written: {output}/ (front.csv, trials.csv, sensitivity.csv, front.png, found.toml)")
+    print_line(f"written: {output}/ (front.csv, trials.csv, sensitivity.csv, front.png, found.toml)")
     return table
 
 

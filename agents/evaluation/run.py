@@ -31,7 +31,7 @@ from agents.policies.catalogue import domains_of, named_policies, user_policies
 from agents.policies.policy import check_domains
 from agents.policies.wrappers import RoundTripPolicy
 from agents.records.manifest import write_json
-from agents.terminal.tables import print_table
+from agents.terminal.tables import print_line, print_table
 from probe_env.envs.contexts import Split
 from probe_env.envs.env import check_tubes
 from probe_env.envs.episodes.starts import EpisodeSampler, Probes, settling
@@ -137,7 +137,7 @@ def evaluate_plan(
     if plan.config.returns:
         print(f"Insertion and withdrawal; scored is {SCORED_PASSES[plan.config.inspects]}")
     print_summary(grouped(table), report.against)
-    print(f"written: {output}/ (report.html, episodes.csv, episodes.parquet, profile.parquet, summary.csv)")
+    print_line(f"written: {output}/ (report.html, episodes.csv, episodes.parquet, profile.parquet, summary.csv)")
     return table
 
 

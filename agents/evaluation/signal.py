@@ -23,7 +23,7 @@ from agents.policies.policy import Policy
 from agents.records.atomic import write_atomically
 from agents.records.drawing import BLUE, GREY, GRID, MM, RED, escape_dollars, save
 from agents.records.manifest import write_json, write_manifest
-from agents.terminal.tables import print_table
+from agents.terminal.tables import print_line, print_table
 from probe_env import Context, Fidelity
 from probe_env.arrays import FloatArray
 from probe_env.envs.episodes import Episodes
@@ -146,7 +146,7 @@ def run_signal(
     ]
     print_table("Flaws", header, rows, left=0)
     print(f"called: {int(chart.table['called'].sum())} of the {len(chart.table)} flaws passed")
-    print(f"written: {output}/ (strip.png, flaws.png, channels.csv, flaws.csv, periods.csv, signal.json)")
+    print_line(f"written: {output}/ (strip.png, flaws.png, channels.csv, flaws.csv, periods.csv, signal.json)")
     return chart.table
 
 
@@ -391,4 +391,4 @@ def draw_curves(evaluation: Path, output: Path) -> None:
     ]
     tubes = table["context"].nunique()
     print_table(f"Detected depths, {f'over {tubes} tubes' if tubes > 1 else 'in one tube'}", header, rows)
-    print(f"written: {output}/ (pod.png, pod.csv)")
+    print_line(f"written: {output}/ (pod.png, pod.csv)")

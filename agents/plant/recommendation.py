@@ -28,6 +28,7 @@ from agents.policies.on_map import FIRST, SPACING
 from agents.policies.policy import OutsideDomain
 from agents.records.atomic import write_atomically
 from agents.records.manifest import origin, write_json
+from agents.terminal.tables import print_line
 from probe_env import Context, Plant, Scene
 from probe_env.arrays import FloatArray
 from probe_env.envs.task import TaskConfig, drive_counts, metre_reward, share_between, slack
@@ -103,7 +104,7 @@ def recommend(
         warnings.warn(f"outside the training range of the response: {text}", OutsideDomain, stacklevel=2)
     specs = (*(confirmation.schedules if confirmation else ()), *BASELINES)
     if case.config.returns:
-        print(
+        print_line(
             f"{output.stem} is for the insertion; the withdrawal is at the fastest feed. For both passes use"
             " probe-env study best-round-trip"
         )
@@ -127,7 +128,7 @@ def recommend(
         write_atomically(law, feedback.model_dump_json(indent=1))
         named.append(f"{LAW}={law}")
     seconds = np.trapezoid(1.0 / np.array(optimum.schedule.feed_speed), optimum.schedule.position)
-    print(
+    print_line(
         f"{output}: in your tubes about {seconds:.0f} s, expected reward {optimum.reward:.1f}"
         f" ({len(case.contexts)} samples); drive safe: root tension above {optimum.tension:.2g} N in {CONFIDENCE:.0%}"
     )

@@ -267,6 +267,10 @@ def load_bundle(path: str | Path, config: TaskConfig | None = None) -> Agent:
         raise FileError(path, f"description: {explain(error)}") from error
     if _hash(text, weights) != digest:
         raise FileError(path, f"changed or cut off since it was written: its hash does not match - {RESTORE}")
+    try:
+        description.view.columns(config or description.task)  # before the weights: their number depends on it
+    except ValueError as error:
+        raise FileError(path, str(error)) from error
     policy = build_policy(description, initialised=False)
     network = {name: value.numpy() for name, value in policy.state_dict().items()}
     for name in sorted(network.keys() | weights.keys()):

@@ -6,6 +6,8 @@ import os
 import platform
 import re
 import secrets
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
 
@@ -43,7 +45,7 @@ def write_atomically(path: Path, content: str | bytes) -> None:
     _clean(target)
     temporary = target.with_name(f".{target.name}.{os.getpid()}@{platform.node()}.{secrets.token_hex(4)}.tmp")
     try:
-        with temporary.open("xb") as file:
+        with named(path), temporary.open("xb") as file:
             if old:
                 temporary.chmod(old.st_mode & 0o777)
             file.write(content.encode() if isinstance(content, str) else content)
@@ -54,6 +56,16 @@ def write_atomically(path: Path, content: str | bytes) -> None:
         temporary.unlink(missing_ok=True)
         raise
     note_file(path)
+
+
+@contextmanager
+def named(path: str | Path) -> Iterator[None]:
+    """Context in which an OSError names this file; that of a full disk names none."""
+    try:
+        yield
+    except OSError as error:
+        error.filename = str(path)
+        raise
 
 
 def _clean(path: Path) -> None:

@@ -16,6 +16,7 @@ from typing import Annotated, Any, Final, Generic, TypeVar
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic_core import PydanticCustomError
 
+from agents.records.atomic import named
 from probe_env.files import MEBI, FileError, as_text, open_regular, read_text
 from probe_env.settings import explain
 
@@ -111,9 +112,10 @@ class Journal(Generic[S]):
         with self.path.open("ab") as file:
 
             def append(lines: str) -> None:
-                file.write(lines.encode())
-                file.flush()
-                os.fsync(file.fileno())
+                with named(self.path):
+                    file.write(lines.encode())
+                    file.flush()
+                    os.fsync(file.fileno())
 
             yield append
 

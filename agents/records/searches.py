@@ -1,29 +1,62 @@
-"""Opens the Optuna study of a search in an append-only journal file."""
+"""Opens the Optuna study of a search in an append-only journal file, and locks its folder."""
 
 from __future__ import annotations
 
 import json
 import math
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
 import optuna
+from filelock import FileLock, Timeout
 from optuna.storages import JournalStorage
 from optuna.storages.journal import JournalFileBackend
 from optuna.trial import TrialState
 
+from agents.records.atomic import named
 from probe_env.files import MEBI, FileError, one_line, read_bytes
 
 JOURNAL: Final = "study.jsonl"
 MAX_JOURNAL: Final = 1024 * MEBI
 
 
+class _Journal(JournalFileBackend):
+    """Optuna's journal, whose errors name the file."""
+
+    def append_logs(self, logs: list[dict[str, Any]]) -> None:
+        with named(self._file_path):
+            super().append_logs(logs)
+
+
+@contextmanager
+def run_lock(folder: Path) -> Iterator[None]:
+    """Lock a folder against a second process; the system releases the lock when the process ends.
+
+    Raises:
+        FileError: another process works there.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    lock = FileLock(folder / "lock", timeout=0)
+    try:
+        lock.acquire()
+    except Timeout as error:
+        raise FileError(folder, "another process is working there: wait for it, or choose another folder") from error
+    try:
+        yield
+    finally:
+        lock.release()
+        (folder / "lock").unlink(missing_ok=True)
+
+
 def open_study(
     path: Path, name: str, directions: Sequence[Literal["minimize", "maximize"]], parameters: Iterable[str]
 ) -> optuna.Study:
     """The study of this name, created if it does not exist; unfinished trials of a killed process are marked as failed.
+
+    The caller holds the ``run_lock`` of the folder, so a lock of Optuna's is one that a killed process has left.
 
     Args:
         path: the journal; an incomplete last line is removed.
@@ -37,7 +70,8 @@ def open_study(
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     try:
         _check_lines(path)
-        storage = JournalStorage(JournalFileBackend(str(path)))
+        Path(f"{path}.lock").unlink(missing_ok=True)  # Optuna would wait half a minute for it
+        storage = JournalStorage(_Journal(str(path)))
         if name in optuna.get_all_study_names(storage):
             study = optuna.load_study(study_name=name, storage=storage)
         else:
@@ -51,7 +85,7 @@ def open_study(
                 raise ValueError(f"the values of trial {trial.number} are not finite")
             if trial.state is TrialState.RUNNING:
                 study.tell(trial.number, state=TrialState.FAIL)
-    except FileError:
+    except (FileError, OSError):
         raise
     except Exception as error:  # any error of Optuna for a damaged journal
         reason = f"{type(error).__name__}: {one_line(str(error))}"

@@ -32,6 +32,7 @@ from agents.records.drawing import GREY, save
 from agents.records.manifest import write_manifest
 from agents.studies.builtin import Request, print_frame
 from agents.studies.chart.ensembles import STIFFNESSES
+from agents.terminal.tables import print_line
 from probe_env import Scene, SimulationError, Simulator, StabilityWarning
 from probe_env.arrays import FloatArray
 from probe_env.physics.closed_forms.bare_chains import (
@@ -86,7 +87,7 @@ def run(request: Request) -> pd.DataFrame:
     write_manifest(output, [f"{name}.csv" for name in tables])
     draw_map(classify(table), output / "map.png")
     print_frame("Shares of the cells of a step (ratio to the stability limit)", steps)
-    print(f"written: {output}/ ({', '.join(tables)} as .csv, map.png)")
+    print_line(f"written: {output}/ ({', '.join(tables)} as .csv, map.png)")
     return table
 
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 from pydantic import ValidationError
 
-from probe_env.files import one_line
+from probe_env.files import escaped, one_line
 from probe_env.settings import explain
 
 
@@ -14,14 +15,31 @@ def format_error(error: Exception) -> str:
     """An error as one line."""
     if isinstance(error, ValidationError):
         return one_line(explain(error))
+    if isinstance(error, MemoryError):
+        return one_line(f"not enough memory: {error}" if str(error) else "not enough memory")
+    if not isinstance(error, OSError):
+        return one_line(str(error))
+    path = Path(str(error.filename))
+    if isinstance(error, FileNotFoundError) and not path.is_absolute() and _working_folder_deleted():
+        return "the working folder was deleted: change to another one"
+    if error.filename is None:
+        return one_line(str(error))
+    file = escaped(str(error.filename))
     if isinstance(error, FileNotFoundError):
         hint = getattr(error, "hint", "")
-        missing = error.filename
-        if missing is not None and Path(missing).is_dir():
-            return one_line(f"{missing}: a folder, not a file" + (f" - {hint}" if hint else ""))
-        if missing is not None and not hint and not Path(missing).parent.is_dir():
-            hint = f"there is no folder {Path(missing).parent}"
-        return one_line(f"no such file: {missing}" + (f" - {hint}" if hint else ""))
-    if isinstance(error, FileExistsError | NotADirectoryError) and error.filename is not None:
-        return one_line(f"{error.filename}: a file, where a folder is needed")
-    return one_line(str(error))
+        if path.is_dir():
+            return one_line(f"{file}: a folder, not a file" + (f" - {hint}" if hint else ""))
+        if not hint and not path.parent.is_dir():
+            hint = f"there is no folder {escaped(str(path.parent))}"
+        return one_line(f"no such file: {file}" + (f" - {hint}" if hint else ""))
+    if isinstance(error, FileExistsError | NotADirectoryError):
+        return one_line(f"{file}: a file, where a folder is needed")
+    return one_line(f"{file}: {error.strerror}")
+
+
+def _working_folder_deleted() -> bool:
+    try:
+        os.getcwd()
+    except FileNotFoundError:
+        return True
+    return False

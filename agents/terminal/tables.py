@@ -11,10 +11,17 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from probe_env.files import escaped
+
 FRAME: Final = 3
 """Characters of a column in addition to its text."""
 WIDEST_TEXT: Final = 100
 """Maximum characters of a line of text."""
+
+
+def print_line(text: str) -> None:
+    """Print a line with paths or names; their escapes and newlines are shown, not sent to the terminal."""
+    print(escaped(text))
 
 
 def print_table(
@@ -30,9 +37,9 @@ def print_table(
             columns are numbers, aligned right.
         lines: whether to draw lines between the rows.
     """
-    console, cells = Console(), [list(row) for row in rows]
+    console, cells = Console(), [[escaped(text) for text in row] for row in rows]
     for number, part in enumerate(parts_of(header, cells, left, console.width)):
-        table = Table(title=None if number else escape(title), title_justify="left", show_lines=lines)
+        table = Table(title=None if number else escape(escaped(title)), title_justify="left", show_lines=lines)
         for k, width in part.items():
             justify: Literal["left", "right"] = "left" if k < left else "right"
             table.add_column(escape(header[k]), justify=justify, overflow="fold", width=width)
@@ -80,7 +87,7 @@ def print_terms(terms: Mapping[str, str], indent: int = 2) -> None:
         first = f"{'':{indent}}{term}".ljust(width)
         print(
             textwrap.fill(
-                text, min(Console().width, WIDEST_TEXT), initial_indent=first, subsequent_indent=" " * width,
+                escaped(text), min(Console().width, WIDEST_TEXT), initial_indent=first, subsequent_indent=" " * width,
                 break_on_hyphens=False,
             )
         )  # fmt: skip

@@ -39,13 +39,13 @@ class Work:
         minutes = left * self.seconds / 60.0
         about = f"about {minutes:.0f} min" if minutes < 100.0 else f"about {minutes / 60.0:.0f} h"
         time = f", {about}" if minutes > 1.0 else ""
-        return f"{share} to do{time}, stored in {self.folder} one by one" if left > 0 else ""
+        return f"{share} to do{time}, stored in {_escaped(self.folder)} one by one" if left > 0 else ""
 
     def stored_text(self) -> str:
         """Number of stored units, and how to continue."""
         stored = self.stored()
         verb = "is" if stored == 1 else "are"
-        return f"{stored} of {_count(self.total, self.unit)} {verb} stored in {self.folder}; {self.advice}"
+        return f"{stored} of {_count(self.total, self.unit)} {verb} stored in {_escaped(self.folder)}; {self.advice}"
 
 
 _current: list[Work] = []
@@ -82,9 +82,15 @@ def stored_text() -> str:
     if not files:
         return "nothing was stored"
     folders = list(dict.fromkeys(path.parent for path in files))
-    names = [path.name for path in files[:FILES_NAMED]] + ["..."] * (len(files) > FILES_NAMED)
+    names = [_escaped(path.name) for path in files[:FILES_NAMED]] + ["..."] * (len(files) > FILES_NAMED)
     verb = "is" if len(files) == 1 else "are"
-    return f"{', '.join(names)} {verb} stored in {', '.join(map(str, folders))}; nothing else is"
+    return f"{', '.join(names)} {verb} stored in {', '.join(map(_escaped, folders))}; nothing else is"
+
+
+def _escaped(path: Path | str) -> str:
+    from probe_env.files import escaped  # loaded where there is work
+
+    return escaped(str(path))
 
 
 def _count(number: int, unit: str) -> str:

@@ -9,8 +9,7 @@ from __future__ import annotations
 import io
 import json
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -20,7 +19,6 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 import torch
-from filelock import FileLock, Timeout
 from pydantic import Field
 from stable_baselines3 import PPO
 from stable_baselines3.common.base_class import BaseAlgorithm
@@ -38,6 +36,7 @@ from agents.records.atomic import write_atomically
 from agents.records.manifest import origin as made_by
 from agents.records.manifest import write_json, write_manifest
 from agents.records.models import Stored, read_json
+from agents.records.searches import run_lock
 from agents.records.tables import CURVE as CURVE_COLUMNS
 from agents.records.tables import read_csv
 from agents.terminal.tables import print_table
@@ -127,28 +126,6 @@ def prepare(training: Training, output: Path, resume: bool, origin: dict[str, An
     return folders
 
 
-@contextmanager
-def run_lock(folder: Path) -> Iterator[None]:
-    """Lock a folder against a second training; the system releases the lock when the process ends.
-
-    Raises:
-        ValueError: another process trains there.
-    """
-    folder.mkdir(parents=True, exist_ok=True)
-    lock = FileLock(folder / "lock", timeout=0)
-    try:
-        lock.acquire()
-    except Timeout as error:
-        raise ValueError(
-            f"{folder}: another process is training there: wait for it, or choose another folder"
-        ) from error
-    try:
-        yield
-    finally:
-        lock.release()
-        (folder / "lock").unlink(missing_ok=True)
-
-
 def _write_curve(rows: list[dict[str, Any]], folder: Path) -> None:
     write_atomically(folder / CURVE, pd.DataFrame(rows).to_csv(index=False, float_format="%.6g"))
 
@@ -175,8 +152,7 @@ def train(
             exception that it raises ends the training.
 
     Raises:
-        ValueError: another process trains in the folder.
-        FileError: the checkpoint is damaged or of another run.
+        FileError: another process trains in the folder; the checkpoint is damaged or of another run.
     """
     folder = output / f"seed-{seed}"
     if position is None:

@@ -26,8 +26,8 @@ from agents.records.drawing import BLUE, GRID, RED, save
 from agents.records.manifest import origin as made_by
 from agents.records.manifest import write_manifest
 from agents.records.models import Stored, validate
-from agents.records.searches import JOURNAL, open_study
-from agents.terminal.tables import print_table
+from agents.records.searches import JOURNAL, open_study, run_lock
+from agents.terminal.tables import print_line, print_table
 from agents.terminal.work import Work, announce
 from agents.training.config import Axis, Training, axes_of, value_in, with_values
 from agents.training.train import CHECKPOINT, prepare, train
@@ -188,7 +188,7 @@ def run_tuning(training: Training, trials: int, phases: int | None, output: Path
         seed: seed of the search.
 
     Raises:
-        ValueError: an argument is not valid, or the folder holds another search.
+        ValueError: an argument is not valid, the folder holds another search, or another process works in it.
         RuntimeError: all trainings failed.
     """
     if training.phases < 1:
@@ -198,7 +198,8 @@ def run_tuning(training: Training, trials: int, phases: int | None, output: Path
     within("trials", trials, 1, 100_000, "")
     within("seed", seed, 0, 2**32 - 1, "")
     tuning = Tuning(training=training, phases=phases, seed=seed)
-    study = search(tuning, trials, output)
+    with run_lock(output):
+        study = search(tuning, trials, output)
     table = trials_table(study)
     write_atomically(
         output / TRIALS, table.to_csv(index=False)
@@ -219,7 +220,7 @@ def run_tuning(training: Training, trials: int, phases: int | None, output: Path
     setting = json.loads(tuning.model_dump_json()) | {"space": space, "trials": len(table), "best": number}
     write_manifest(output, (TRIALS, "found.toml"), seeds=(seed,), commits=table["commit"], **setting)
     _print(table)
-    print(f"written: {output}/ (found.toml, trials.csv, search.png, manifest.json, trials/)")
+    print_line(f"written: {output}/ (found.toml, trials.csv, search.png, manifest.json, trials/)")
     return table
 
 

@@ -21,7 +21,7 @@ from probe_env.envs.episodes.starts import (
     sample_context,
     settling,
 )
-from probe_env.envs.task import TaskConfig, action_of, share_of
+from probe_env.envs.task import TaskConfig, action_of, as_actions, share_of
 from probe_env.envs.task.scales import OBSERVATIONS, PRIVILEGED, UNITS
 from probe_env.envs.trials import (
     HARDEST,
@@ -145,8 +145,8 @@ class DesignEnv(gym.Env[Observation, Observation]):
         Raises:
             ValueError: wrong shape, not finite or out of range.
         """
-        values = np.asarray(action, dtype=float)
-        if values.shape != (len(RANGES),) or not (np.abs(values) <= 1.0 + 1e-6).all():
+        values = as_actions(action, (len(RANGES),)).astype(float)
+        if not (np.abs(values) <= 1.0 + 1e-6).all():
             raise ValueError(f"action = {action!r} must be {len(RANGES)} numbers within -1 to 1: {', '.join(RANGES)}")
         return Design.from_unit(share_of(values))
 

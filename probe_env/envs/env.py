@@ -18,7 +18,7 @@ from probe_env.envs.episodes.decisions import decide
 from probe_env.envs.episodes.limits import check_fidelity, check_start
 from probe_env.envs.episodes.starts import DEFAULTS, EpisodeSampler, EpisodeSettings, resolve_settings
 from probe_env.envs.surrogate import SurrogateEpisodes, check_task, check_tube
-from probe_env.envs.task import TaskConfig
+from probe_env.envs.task import TaskConfig, as_actions
 from probe_env.envs.vibration_map import VibrationMap, stored_map
 from probe_env.fidelity import Fidelity, is_surrogate
 from probe_env.settings import check_keywords, one_line_errors
@@ -127,7 +127,7 @@ class ProbeEnv(gym.Env[Observation, Observation]):
 
     def step(self, action: Observation) -> tuple[Observation, SupportsFloat, bool, bool, dict[str, Any]]:
         """Apply an action: one control period towards a target feed speed and air supply, or as the task says."""
-        step = decide(self.episodes, np.asarray(action)[None])
+        step = decide(self.episodes, as_actions(action, (2,))[None])
         reward = float(step.reward[0])
         if self._renderer is not None:
             self._renderer.add(step.infos[0], reward)

@@ -203,11 +203,10 @@ class Posterior(Model):
             FileNotFoundError: no such file.
             FileError: not a calibration.
         """
+        text = read_bytes(path, MOST_FILE)
         try:
-            content = json.loads(read_bytes(path, MOST_FILE))
+            content = json.loads(text)
         except (ValueError, RecursionError) as error:
-            if isinstance(error, FileError):
-                raise
             raise FileError(path, f"not JSON: {error}") from error
         draws = content.get("draws") if isinstance(content, dict) else None
         if not isinstance(draws, dict):
@@ -290,7 +289,13 @@ class Plant(Model):
     @classmethod
     def from_toml(cls, path: str | Path) -> Self:
         """Read the file of a plant and of its calibration, if it names one; raises as ``Model.from_toml``."""
-        tables = with_posterior(read_toml(path), Path(path).parent)
+        data = read_toml(path)
+        try:
+            tables = with_posterior(data, Path(path).parent)
+        except FileNotFoundError as error:
+            raise FileError(path, f"posterior: no such file: {error.filename}") from error
+        except FileError as error:
+            raise FileError(path, f"posterior: {error}") from error
         try:
             return cls.model_validate(tables)
         except ValidationError as error:

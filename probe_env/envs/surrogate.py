@@ -29,7 +29,7 @@ from probe_env.envs.episodes.starts import (
     restored_on_error,
     settling,
 )
-from probe_env.envs.task import COSTS, FAILURES, Score, TaskConfig, rules
+from probe_env.envs.task import COSTS, FAILURES, Score, TaskConfig, as_actions, rules
 from probe_env.envs.task.observations import SensorModel, normal_draws
 from probe_env.envs.vibration_map import CONTEXT, VibrationMap, check_measure, load_for, rms_limit, stored_map
 from probe_env.fidelity import PRESETS, SURROGATE
@@ -227,7 +227,8 @@ class SurrogateEpisodes:
         config = self.config
         stepped = np.ones(len(self), dtype=bool) if active is None else np.asarray(active, dtype=bool)
         check_running(self.running, stepped)
-        actions = np.where(stepped[:, None], np.asarray(actions, dtype=np.float32), self.actions)
+        requested = as_actions(actions, (len(self), 2)).astype(np.float32)
+        actions = np.where(stepped[:, None], requested, self.actions)
         targets = config.targets(actions, self.allow_standstill)
         change = actions.astype(float) - self.actions
         self.actions = actions

@@ -11,6 +11,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from bokeh.document import Document
+from bokeh.events import ButtonClick
 
 from agents.app.runs import Frame, Run, RunRequest
 from agents.app.screens.page import PATIENCE, Page
@@ -170,3 +171,55 @@ def test_a_log_and_a_schedule_are_read_in_another_process(app, tmp_path, monkeyp
     screen.open.value = str(tmp_path / "rig.csv")
     wait()
     assert "the process that read the file was killed" in screen.problem.text
+
+
+@pytest.mark.parametrize("number", [0, 1])
+def test_saving_asks_before_it_replaces_a_file(app, tmp_path, number):
+    """A tube and a schedule; opening one saves nothing."""
+    page = Page(app)
+    screen, name, folder = page.screens[number], ("b.toml", "b")[number], tmp_path / ("tubes", "schedules")[number]
+    screen.open.value = ("example", "best-schedule")[number]
+    assert not folder.exists()
+    for save in (lambda: setattr(screen.save.name, "value", name), lambda: press(screen.save.button)):
+        save()
+        assert screen.problem.text == ""
+        (path,) = folder.iterdir()
+        path.write_bytes(before := path.read_bytes() + b"\n")
+        press(screen.save.button)
+        assert f"{path}: exists: press replace" in screen.problem.text
+        assert (screen.save.button.label, path.read_bytes()) == ("replace", before)
+    screen.save.name.value = f"c{name}"
+    assert screen.save.button.label == "save"
+    assert len(list(folder.iterdir())) == 2
+    path.write_text("[something else]\n")
+    screen.save.name.value = name
+    assert f"{path}: exists and is a file of another kind" in screen.problem.text
+    press(screen.save.button)
+    assert path.read_text() == "[something else]\n"
+
+
+def press(button):
+    button._trigger_event(ButtonClick(button))
+
+
+def test_values_that_no_browser_sends_are_refused_at_their_field(app, tmp_path):
+    page = Page(app)
+    for screen, field, value, message in (
+        (page.insertion, "limit", 1e9, "tubes = 1000000000.0 is outside the accepted range 1 to 48"),
+        (page.insertion, "policies", ["pi", "<b>"], "compare with = &#x27;&lt;b&gt;&#x27; is not offered; accepted: "),
+        (page.insertion, "fidelity", "best", "fidelity = &#x27;best&#x27; is not offered; accepted: "),
+        (page.manual, "rival", "slow-dwon", "; the closest: slow-down"),
+        (page.compare, "open", "x" * 5000, "File name too long"),
+        (page.tube, "open", "x" * 5000, "File name too long"),
+        (page.tube, "save", f"{'x' * 5000}.toml", "File name too long"),
+        (page.schedule, "open", f"{'x' * 5000}.csv", "File name too long"),
+    ):
+        widget = getattr(screen, field)
+        widget = getattr(widget, "name", widget) if field == "save" else widget
+        before, widget.value = widget.value, value
+        assert message in screen.problem.text
+        if screen in (page.insertion, page.manual):
+            screen.guarded(screen._start)()
+            assert message in screen.problem.text
+        widget.value = before
+    assert list(tmp_path.iterdir()) == []

@@ -1,5 +1,6 @@
 """Forms: every field of the models, files, schedules, predictions and overlays, with the errors of the commands."""
 
+import re
 import tomllib
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from agents.records.shipped import file_or_shipped, shipped_names
 from agents.studies.shipped.best_schedules import MapCost
 from probe_env import Plant
 from probe_env.envs.task import TaskConfig
+from probe_env.files import FileError
 from probe_env.schedule import Schedule
 
 EXAMPLE = Path("configs/tubes/example.toml")
@@ -91,13 +93,41 @@ def test_a_changed_tube_is_saved_as_a_file_of_the_command(tmp_path):
     stored = form.file_for_run(tmp_path)
     assert Plant.from_toml(stored) == form.plant
     assert form.file_for_run(tmp_path) == stored  # the same tube, the same file
-    form.save(tmp_path / "mine.toml")
+    form.save(Path("mine.toml"), tmp_path)  # not next to the opened file, which ships with the project
     example = tomllib.loads(EXAMPLE.read_text())
     saved = tomllib.loads((tmp_path / "mine.toml").read_text())
     assert saved == example | {"tube": example["tube"] | {"helix_length": 30.0}}
     form.open(EXAMPLE)
     with pytest.raises(ValueError, match="ships with the project"):
-        form.save(EXAMPLE)
+        form.save(EXAMPLE, tmp_path)
+
+
+def test_a_tube_is_saved_next_to_the_opened_file_or_in_the_folder_of_the_app(tmp_path):
+    app, rigs = tmp_path / "app" / "tubes", tmp_path / "rigs"
+    rigs.mkdir()
+    (rigs / "mine.toml").write_text("[contact]\nfriction = 0.2\n")
+    (rigs / "pyproject.toml").write_text("[project]\n")
+    (rigs / "link.toml").symlink_to(tmp_path / "elsewhere.toml")
+    form = TubeForm()
+    form.open(rigs / "mine.toml")
+    before = {path.name: path.read_bytes() for path in rigs.glob("m*.toml")}
+    form.change(FIELDS["contact.friction"], "0.3")
+    for name, message in (
+        (tmp_path / "mine.toml", f"a tube file is saved in {rigs} or {app}: give a name alone"),
+        (rigs / "new" / "mine.toml", "is saved in"),
+        (Path("../mine.toml"), "is saved in"),
+        (Path("pyproject.toml"), f"{rigs / 'pyproject.toml'}: exists and is a file of another kind"),
+        (Path("link.toml"), f"{rigs / 'link.toml'}: exists and is a file of another kind"),
+        (Path("mine.toml"), f"{rigs / 'mine.toml'}: exists: press replace"),
+    ):
+        with pytest.raises(FileError, match=re.escape(message)):
+            form.save(name, app)
+    assert {path.name: path.read_bytes() for path in rigs.glob("m*.toml")} == before
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["rigs"]
+    form.save(Path("mine.toml"), app, replace=True)
+    assert Plant.from_toml(rigs / "mine.toml").contact.friction == 0.3
+    form.save(app / "other.toml", app)
+    assert Plant.from_toml(app / "other.toml").contact.friction == 0.3
 
 
 def test_a_refused_change_has_the_message_of_the_command_and_changes_nothing(tmp_path, capsys):

@@ -2,6 +2,9 @@
 
 import asyncio
 import gc
+import os
+import signal
+import threading
 import weakref
 from types import SimpleNamespace
 
@@ -12,6 +15,7 @@ from tornado.websocket import websocket_connect
 from agents.app.screens.page import Page
 from agents.app.server import make_server
 from agents.app.state import AppState
+from agents.cli import main
 
 TOKEN = "secret"
 SCRIPT = "/static/js/bokeh.min.js"
@@ -137,3 +141,34 @@ def test_the_number_of_pages_is_bounded(server, get, monkeypatch):
     monkeypatch.setattr("agents.app.server.MOST_PAGES", 1)
     assert [get(path).code for path in ("/", "/", PATHS[2], SCRIPT)] == [200, 503, 503, 200]
     assert len(server.get_sessions("/")) == 1
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_the_idle_server_which_prints_nothing(number, tmp_path, monkeypatch, capsys):
+    """Its stdout may have no reader left; the exit status is that of success."""
+    closed = []
+    queue = SimpleNamespace(runs=(), changes=0, close=lambda: closed.append(True))
+    monkeypatch.setattr("agents.app.server.RunQueue", lambda: queue)
+    kill = threading.Timer(0.3, os.kill, (os.getpid(), number))
+    monkeypatch.setattr("webbrowser.open", lambda _: kill.start())
+    loop = asyncio.new_event_loop()
+    asyncio.set_event_loop(loop)
+    assert main(["app", "--port", "0", "--output", str(tmp_path)]) == 0
+    loop.close()
+    printed = capsys.readouterr()
+    assert (printed.out.count("\n"), printed.err, closed) == (1, "", [True])
+
+
+def test_a_closed_page_takes_no_time(server, get, monkeypatch):
+    ticks = []
+    monkeypatch.setattr(Page, "tick", lambda page: ticks.append(page))
+
+    def wait():
+        ticks.clear()
+        server.io_loop.run_sync(lambda: asyncio.sleep(0.5))
+        return len(ticks)
+
+    assert [get("/").code for _ in range(3)] == [200] * 3
+    assert wait() > 0
+    server.io_loop.run_sync(lambda: server._tornado.applications["/"]._cleanup_sessions(0))
+    assert (server.get_sessions("/"), wait()) == ([], 0)

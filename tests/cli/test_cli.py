@@ -103,6 +103,32 @@ def test_errors_are_one_line_and_leave_nothing_behind(tmp_path, capsys, monkeypa
     assert list(tmp_path.iterdir()) == []
 
 
+def test_escapes_in_paths_are_shown_not_sent_to_the_terminal(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("agents.evaluation.simulate._draw", lambda *_: None)
+    scene, output = tmp_path / "\x1b[31mred\n.toml", tmp_path / "\x1b[2J\nout"
+    scene.write_text(Path(SCENE).read_text())
+    brief = ["--duration", "0.02", "--scene.carrier-length", "6", "--output", str(output)]
+    assert main(["simulate", str(scene), *brief]) == 0
+    printed = capsys.readouterr().out
+    assert printed.replace("\n", "").isprintable()
+    assert printed.startswith("\\x1b[31mred\\n: ")
+    assert f"written: {tmp_path}/\\x1b[2J\\nout/ (scene.toml" in printed
+    assert main(["simulate", str(scene.with_name("\x1b\n.toml"))]) == 2
+    assert f"no such file: {tmp_path}/\\x1b\\n.toml" in capsys.readouterr().err
+
+
+def test_help_fits_any_terminal(capsys, monkeypatch):
+    """In fewer than forty columns it is that of forty; tyro would take minutes."""
+    helps = []
+    for width in ("1", "5", "40"):
+        monkeypatch.setenv("COLUMNS", width)
+        with pytest.raises(SystemExit):
+            main(["plc", "--help"])
+        helps.append(capsys.readouterr().out)
+    assert helps[0] == helps[1] == helps[2]
+    assert "structured text" in " ".join(helps[0].split())
+
+
 def check_film(path, pictures):
     """Number of pictures; in GIF and PNG also the size, the share of white, and that pictures differ.
 

@@ -108,6 +108,27 @@ agents.cli._run = lambda _: [print(os.environ["OPENBLAS_NUM_THREADS"]) for _ in 
 """
 
 
+STREAMS_CLOSED = """
+import agents.cli
+def work(_):
+    from tqdm import tqdm
+    numbers = list(tqdm(range(3)))
+    print(numbers)
+    with open(sys.argv[1], "w") as file:  # which has no descriptor of a stream, so nothing else is written into it
+        file.write(f"{numbers} {file.fileno() > 2}")
+    return 0
+agents.cli._run = work
+"""
+
+
+@pytest.mark.parametrize("closed", [" 2>&-", " >&-", " >&- 2>&-"])
+def test_work_goes_on_where_a_stream_is_closed(closed, tmp_path):
+    ended = command(STREAMS_CLOSED, str(tmp_path / "file"), pipe=closed)
+    assert ended.returncode == 0
+    assert ended.stdout == ("[0, 1, 2]\n" if closed == " 2>&-" else "")
+    assert (tmp_path / "file").read_text() == "[0, 1, 2] True"
+
+
 def test_exit_codes_of_processes(tmp_path):
     """In an import, at the second signal (the first may be swallowed in a finaliser), and behind a closed pipe."""
     ended = command(IN_IMPORT, "simulate", SCENE, "--output", str(tmp_path / "run"))

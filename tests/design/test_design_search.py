@@ -10,6 +10,7 @@ from agents.design.compare import compare, print_comparison, summarise
 from agents.design.problem import OBJECTIVES, DesignProblem
 from agents.design.search import best_of, search, sensitivity, trials_table
 from agents.design.trials import DesignTrials
+from agents.records.searches import run_lock
 from probe_env import Context, Design, Fidelity
 from probe_env.design import RANGES
 from probe_env.envs.task import TaskConfig
@@ -86,6 +87,20 @@ def test_killed_before_and_after_any_trial_is_told_equals_never_killed(tmp_path,
         kills += 1
     assert kills >= 8  # by turns three and four more of 30 trials are told, or fewer and one that a kill left
     assert run(tmp_path, 30).equals(whole)
+
+
+@pytest.mark.parametrize(("point", "after"), [("os.symlink", True), ("os.fsync", False), ("os.fsync", True)])
+def test_killed_while_its_journal_is_made_a_search_goes_on_at_once(point, after, tmp_path, whole, monkeypatch):
+    """With Optuna's lock taken, before and after the first record is on the disk."""
+    assert killed_at(point, 1, run, tmp_path, 3, after=after)
+    assert (tmp_path / "study.jsonl.lock").is_symlink()
+    monkeypatch.setattr("time.sleep", lambda _: pytest.fail("waits for the lock of the killed process"))
+    assert run(tmp_path, 3)[list(AXES)].equals(whole[list(AXES)][:3])
+
+
+def test_a_second_search_in_a_folder_is_refused(tmp_path, refused):
+    with run_lock(tmp_path):
+        refused(["design", "--limit", "1", "--output", tmp_path], f"{tmp_path}: another process is working there")
 
 
 def test_the_design_that_is_kept_of_a_front_has_the_best_reward():

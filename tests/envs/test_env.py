@@ -140,13 +140,27 @@ def test_bad_actions_are_named_and_nothing_is_advanced():
     env.reset(seed=0)
     before = env.episodes.batch.simulators[0].steps_done
     for action, message in (
-        ((np.nan, 0.0), r"action\[0\] = .*nan"),
-        ((0.0, 1.5), r"action\[1\] = .*1.5"),
-        ((0.0,), "shape"),
+        (np.array([np.nan, 0.0]), "action[0] = nan"),
+        (np.array([0.0, 1.5]), "action[1] = 1.5"),
+        (np.zeros(1), "action has shape (1,); the accepted shape is (2,)"),
+        ("0.5", "action = '0.5' is not an array of numbers of the accepted shape (2,)"),
+        (["0.5", "0"], "action = ['0.5', '0'] is not an array of numbers of the accepted shape (2,)"),
+        ({"feed": 0.5}, "action = {'feed': 0.5} is not"),
+        ([[0.0], [0.0, 0.0]], "action = [[0.0], [0.0, 0.0]] is not"),
+        (None, "action = None is not"),
     ):
-        with pytest.raises(ValueError, match=message):
-            env.step(np.array(action, dtype=np.float32))
+        with pytest.raises(ValueError, match=re.escape(message)):
+            env.step(action)
     assert env.episodes.batch.simulators[0].steps_done == before
+
+
+@pytest.mark.parametrize("fidelity", ["fast", "surrogate"])
+def test_bad_actions_of_batches_are_named(fidelity):
+    envs = gym.make_vec("probe_env/Insertion-v1", 2, vectorization_mode="vector_entry_point", fidelity=fidelity)
+    envs.reset(seed=0)
+    for actions, message in ((["0", "0"], "is not an array of numbers"), (np.zeros((1, 2)), "action has shape (1, 2)")):
+        with pytest.raises(ValueError, match=f"{re.escape(message)}.* accepted shape .*{re.escape('(2, 2)')}"):
+            envs.step(actions)
 
 
 def test_a_step_after_the_end_is_refused():

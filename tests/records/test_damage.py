@@ -26,6 +26,7 @@ from agents.records.searches import open_study
 from agents.records.tables import read_csv, read_parquet
 from probe_env import Scene
 from probe_env.envs.task import TaskConfig
+from probe_env.envs.task.scales import OBSERVATIONS
 from probe_env.envs.vibration_map import STORED as MAP
 from probe_env.envs.vibration_map import VibrationMap
 from probe_env.files import FileError
@@ -331,6 +332,10 @@ BUNDLES = BINARY | {
 
 
 def test_bundles(bundle, refused):
+    whole = bundle.read_bytes()
+    described(view={"observations": [*OBSERVATIONS, "heat"]})(bundle)
+    refused(["evaluate", bundle, *FAST], f"{bundle}: observations = heat are not observed in this task")
+    bundle.write_bytes(whole)
     assert failures_of(bundle, BUNDLES, load_bundle) == []
     one_byte(bundle)
     refused(["evaluate", bundle, *FAST], f"{bundle}: changed or cut off")

@@ -3,18 +3,22 @@
 import hashlib
 import json
 import os
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 
-from agents.evaluation.folder import EPISODES, EPISODES_NEWER, read_episodes
+from agents.evaluation.folder import EPISODES, EPISODES_NEWER, Episode, read_episodes
 from agents.evaluation.kpis import CORE, KPIS, displayed_kpis
 from agents.records import manifest
+from agents.records.atomic import write_atomically
 from agents.records.manifest import write_json, write_manifest
-from agents.records.models import complete
+from agents.records.models import Journal, complete
+from agents.records.searches import open_study
 from agents.records.tables import read_csv
+from agents.terminal.errors import format_error
 from probe_env.files import FileError, one_line, read_bytes, read_text
 
 ROOT = Path(__file__).parents[2]
@@ -109,8 +113,19 @@ def test_texts_and_errors(tmp_path):
     with pytest.raises(FileError, match="line 2: a number of more than 4300 digits"):
         read_text(path)
     assert one_line("a\nb\x1b[31m\u202e") == "a; b\\x1b[31m\\u202e"
-    assert len(one_line("x" * 10**6)) < 2100
-    assert str(FileError("a\nb", "c\nd")).isprintable()
+    assert one_line("a" + "x" * 10**6 + "z") == f"a{'x' * 999} ... {'x' * 999}z"
+    assert str(FileError("a\nb", "c\nd")) == "a\\nb: c; d"
+
+
+def test_a_reader_takes_memory_for_the_file_not_for_the_most_that_it_accepts(tmp_path):
+    path = tmp_path / "small"
+    path.write_bytes(b"x" * 1000)
+    tracemalloc.start()
+    assert read_bytes(path, 1 << 28) == b"x" * 1000
+    assert tracemalloc.get_traced_memory()[1] < 1 << 20
+    tracemalloc.stop()
+    with pytest.raises(FileError, match="1000 bytes are more than the 999"):
+        read_bytes(path, 999)
 
 
 def test_a_file_is_read_whatever_size_the_system_reports(tmp_path, monkeypatch):
@@ -127,3 +142,35 @@ def test_a_file_is_read_whatever_size_the_system_reports(tmp_path, monkeypatch):
         assert read_bytes(path, 10) == b"0123456789"
         with pytest.raises(FileError, match=r"more than the 9|10 bytes are more than the 9"):
             read_bytes(path, 9)
+
+
+def test_errors_of_the_system_name_the_file(tmp_path, monkeypatch):
+    def full(_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    for path, write in (
+        (tmp_path / "a.csv", lambda path: write_atomically(path, "text")),
+        (tmp_path / "b\n.jsonl", write_line),
+        (tmp_path / "c.jsonl", lambda path: open_study(path, "known", ["minimize"], ["x"])),
+    ):
+        with pytest.raises(OSError, match="No space left") as error:
+            write(path)
+        assert format_error(error.value) == str(path).replace("\n", "\\n") + ": No space left on device"
+    assert format_error(MemoryError()) == "not enough memory"
+    assert format_error(MemoryError("Unable to allocate 8 GiB")) == "not enough memory: Unable to allocate 8 GiB"
+
+
+def write_line(path):
+    with Journal(path, Episode).appending() as append:
+        append("{}")
+
+
+def test_a_deleted_working_folder_is_named(tmp_path, monkeypatch):
+    (tmp_path / "gone").mkdir()
+    monkeypatch.chdir(tmp_path / "gone")
+    (tmp_path / "gone").rmdir()
+    for work in (Path().resolve, Path("output").mkdir):
+        with pytest.raises(FileNotFoundError) as error:
+            work()
+        assert format_error(error.value) == "the working folder was deleted: change to another one"

@@ -23,9 +23,10 @@ from agents.policies.catalogue import make_policy
 from agents.policies.fixed import Constant
 from agents.policies.view import View
 from agents.policies.wrappers import RoundTripPolicy
+from agents.records.searches import run_lock
 from agents.training import train as training_module
 from agents.training.config import Training
-from agents.training.train import BEST, CHECKPOINT, CURVE, RUN, VALIDATED, run_lock, train_all
+from agents.training.train import BEST, CHECKPOINT, CURVE, RUN, VALIDATED, train_all
 from probe_env import Fidelity, load_contexts
 from probe_env.design import RANGES
 from probe_env.envs.task import TaskConfig
@@ -140,7 +141,7 @@ def test_stopped_before_any_file_is_in_its_place_and_killed_it_goes_on(tmp_path,
 
 def test_an_existing_run_is_not_overwritten_nor_mixed(run, tmp_path):
     folder = tmp_path / "other" / "seed-0"
-    with run_lock(folder), pytest.raises(ValueError, match="seed-0: another process is training there"):
+    with run_lock(folder), pytest.raises(ValueError, match="seed-0: another process is working there"):
         train_all(Training(**PPO), folder.parent, resume=False)
     assert not list(folder.iterdir())
     with run_lock(folder):

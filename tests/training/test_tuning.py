@@ -12,6 +12,7 @@ from kills import killed_at
 
 from agents.cli import main
 from agents.policies.bundle import ALGORITHMS
+from agents.records.searches import run_lock
 from agents.records.shipped import file_or_shipped
 from agents.training import tuning as module
 from agents.training.config import LIMITS, ROLLOUT, USUAL, Range, Training, axes_of
@@ -254,6 +255,10 @@ def test_a_folder_holds_one_search(tmp_path, stubbed, capsys):
         assert run(text, *options) == 2
         assert f"{output}: holds a search with other settings ({name}): choose another" in capsys.readouterr().err
     assert run(FILE.replace("[3, 4]", "[3]") + SPACE) == 0  # the others are not trained here
+    with run_lock(output):
+        assert run(FILE + SPACE) == 2
+    message = f"probe-env: error: {output}: another process is working there: wait for it, or choose another folder"
+    assert capsys.readouterr().err.splitlines()[-1] == message
 
 
 RANGE = "is outside the accepted range"

@@ -96,10 +96,11 @@ class InsertionScreen(RunScreen):
         self.pictures.visible = False
         names = [*NAMES, *shipped_agents(), *shipped_names("schedules")]
         options = {"options": names, "value": ["best-schedule"], "name": "policies"}
-        self.policies = ui.control(models.MultiChoice, "compare with", None, 330, **options)
+        check = self.guarded(self._check)
+        self.policies = ui.control(models.MultiChoice, "compare with", check, 330, **options)
         self.with_schedule = models.Switch(label="my schedule", active=True)
-        self.limit = ui.control(models.Spinner, "tubes", None, 80, low=1, high=SPLIT_SIZES["test"], step=1, value=1)
-        self.fidelity = ui.control(models.Select, "fidelity", None, 130, options=list(PRESETS), value="fast")
+        self.limit = ui.control(models.Spinner, "tubes", check, 80, low=1, high=SPLIT_SIZES["test"], step=1, value=1)
+        self.fidelity = ui.control(models.Select, "fidelity", check, 130, options=list(PRESETS), value="fast")
         start = ui.button("Run", self.guarded(self._start), 90, button_type="primary")
         step = ui.button("step", lambda: self.send(Command("step")), 70)
         look = ui.button("slow motion", lambda: self.send(Command("slow motion")), 120)
@@ -151,7 +152,11 @@ class InsertionScreen(RunScreen):
         same_tube = {other[0]: run.trace(other) for other in run.traces if other[1:] == unit[1:]}
         self.charts.show(same_tube, run.info.limit, unit[0])
 
+    def _check(self) -> None:
+        ui.check_offered(self.policies, self.limit, self.fidelity)
+
     def _start(self) -> None:
+        self._check()
         options = {"limit": int(self.limit.value or 1), "fidelity": self.fidelity.value}
         policies, with_schedule = list(self.policies.value), bool(self.with_schedule.active)
         self._show_run(self.session.start(policies, [self.pace_command()], with_schedule, **options))

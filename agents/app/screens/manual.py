@@ -34,7 +34,9 @@ class ManualScreen(RunScreen):
 
     def __init__(self, session: Session) -> None:
         super().__init__(session, pace=2)
-        self.rival = ui.control(Select, "compare with", options=[*NAMES, *shipped_agents()], value="tension-scheduled")
+        rivals: dict[str, Any] = {"options": [*NAMES, *shipped_agents()], "value": "tension-scheduled"}
+        check = self.guarded(lambda: ui.check_offered(self.rival))
+        self.rival = ui.control(Select, "compare with", check, **rivals)
         start = ui.button("Start", self.guarded(self._start), 90, button_type="primary")
         feed = {"start": 0.02, "end": 0.4, "step": 0.005, "value": 0.2, "name": "hand-feed"}
         air = {"start": 30.0, "end": 130.0, "step": 1.0, "value": 63.0}
@@ -80,6 +82,7 @@ class ManualScreen(RunScreen):
             self.charts.show(traces, run.info.limit, MANUAL)
 
     def _start(self) -> None:
+        ui.check_offered(self.rival)
         run = self.session.run
         if run is not None and run.request.manual and run.state in ACTIVE:
             self.send(Command("stop"))

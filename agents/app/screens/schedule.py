@@ -63,11 +63,11 @@ class ScheduleScreen(ui.Screen):
         self.show_limit = ui.limit_line(vibration)
         remove = ui.button("remove selected", self._remove, 150)
         charts, table = ui.column(*self.charts, vibration), ui.column(remove, self._table())
-        opened, save, overlays = (self.guarded(work) for work in (self._open, self._save, self._show_overlays))
+        opened, overlays = self.guarded(self._open), self.guarded(self._show_overlays)
         example = "my.csv, or a name"
         self.open = ui.control(models.TextInput, "open a schedule", opened, placeholder=example)
         text = {"value": session.name, "name": "save-schedule"}
-        self.save = ui.control(models.TextInput, "save as", save, 150, **text)
+        self.save = ui.SaveAs(self, self._save, 150, **text)
         choice = {"options": ["linear", "steps"], "value": session.interpolation}
         self.kind = ui.control(models.Select, "between points", self._interpolated, 135, **choice)
         choice = {"options": [*schedules.BY_LENGTH, *shipped_names("schedules")], "value": ["constant"]}
@@ -76,7 +76,7 @@ class ScheduleScreen(ui.Screen):
         self.log = ui.control(models.TextInput, "overlay of a log", log, placeholder="rig.csv or example-rig")
         self.layout = ui.column(
             ui.Text(INTRO),
-            ui.row(self.open, self.save, self.kind, self.overlay, self.log),
+            ui.row(self.open, self.save.name, self.save.button, self.kind, self.overlay, self.log),
             self.problem,
             self.summary,
             ui.columns((charts, 420, 3), (table, 280, 1)),
@@ -241,10 +241,10 @@ class ScheduleScreen(ui.Screen):
         self._show_opened()
 
     def _show_opened(self) -> None:
-        self.kind.value, self.save.value = self.session.interpolation, self.session.name
+        self.kind.value = self.session.interpolation
+        self.save.set(self.session.name)
         self._put(self.session.points)
 
-    def _save(self) -> None:
-        if self.save.value.strip():
-            path = self.session.save_schedule(self.save.value.strip())
-            self.summary.text += f"<p>written: <code>{escape(str(path))}</code></p>"
+    def _save(self, name: str, replace: bool) -> None:
+        path = self.session.save_schedule(name, replace)
+        self.summary.text += f"<p>written: <code>{escape(str(path))}</code></p>"

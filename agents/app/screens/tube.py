@@ -39,13 +39,13 @@ class TubeScreen(ui.Screen):
         choice = {"options": [STUDY, *shipped_names("tubes")], "value": STUDY}
         self.shipped = ui.control(models.Select, "start with", self.guarded(self._select), 160, **choice)
         self.open = ui.control(models.TextInput, "open a tube file", self.guarded(self._open), placeholder="mine.toml")
-        self.save = ui.control(models.TextInput, "save as", self.guarded(self._save), placeholder="mine.toml")
+        self.save = ui.SaveAs(self, self._save, placeholder="mine.toml")
         calibrated, example = self.guarded(self._calibrate), "calibration.json"
         self.calibration = ui.control(models.TextInput, "calibration", calibrated, placeholder=example)
         tables = ui.column(*(self._table(table, fields) for table, fields in tube_fields().items()))
         self.layout = ui.column(
             ui.Text(INTRO),
-            ui.row(self.shipped, self.open, self.calibration, self.save),
+            ui.row(self.shipped, self.open, self.calibration, self.save.name, self.save.button),
             self.problem,
             self.summary,
             ui.columns((tables, 430, 3), (section, 300, 2)),
@@ -108,7 +108,7 @@ class TubeScreen(ui.Screen):
     def _open(self) -> None:
         if self.open.value.strip():
             self.session.tube.open(Path(self.open.value.strip()))
-            self.save.value = str(self.session.tube.path)
+            self.save.set(str(self.session.tube.path))
             self._opened()
 
     def _calibrate(self) -> None:
@@ -116,12 +116,10 @@ class TubeScreen(ui.Screen):
             self.session.tube.change_posterior(self.calibration.value)
             self._opened()
 
-    def _save(self) -> None:
-        path, tube = self.save.value.strip(), self.session.tube
-        if path and (tube.changed or Path(path) != tube.path):
-            tube.save(Path(path))
-            self._opened()
-            self.summary.text += f"<p>written: <code>{escape(path)}</code></p>"
+    def _save(self, name: str, replace: bool) -> None:
+        path = str(self.session.save_tube(name, replace))
+        self._opened()
+        self.summary.text += f"<p>written: <code>{escape(path)}</code></p>"
 
     def _opened(self) -> None:
         self.fill()

@@ -6,13 +6,16 @@ from collections.abc import Callable, Iterable
 from html import escape
 from typing import Any, Final
 
+from bokeh import models
 from bokeh.models import Button, Column, Pane, PrintfTickFormatter, RadioButtonGroup, Row, Slider, Span
 from bokeh.models.dom import HTML
 from bokeh.plotting import figure
 from bokeh.themes import Theme
 
+from agents.app.forms import ReplaceError
 from agents.app.state import Session
 from agents.terminal.errors import format_error
+from probe_env.settings import closest, within
 
 REPORT_URL: Final = "/report/"
 PALETTE: Final = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#222222", "#8a8a8a")
@@ -129,11 +132,60 @@ def control(kind: Any, title: str, changed: Callable[[], None] | None = None, wi
     return widget
 
 
+def check_offered(*widgets: Any) -> None:
+    """Check that the values of widgets are among those that they offer; a request need not come from a browser.
+
+    Raises:
+        ValueError: names the field.
+    """
+    for widget in widgets:
+        if isinstance(widget, models.Spinner):
+            within(widget.title, widget.value or widget.low, widget.low, widget.high, "")
+            continue
+        for value in widget.value if isinstance(widget.value, list) else [widget.value]:
+            if value not in widget.options:
+                accepted = f"accepted: {', '.join(widget.options)}{closest(value, widget.options)}"
+                raise ValueError(f"{widget.title} = {value!r} is not offered; {accepted}")
+
+
 def button(label: str, clicked: Callable[[], None], width: int = 100, **options: Any) -> Button:
     """A button."""
     widget = Button(label=label, width=width, **options)
     widget.on_click(clicked)
     return widget
+
+
+class SaveAs:
+    """A field for a file name, and a button, which asks before a file is replaced.
+
+    Args:
+        screen: screen that shows the errors.
+        save: function that saves under a name and raises ``ReplaceError`` if the file exists and its second argument
+            is not set.
+        width: of the field.
+        options: of the field.
+    """
+
+    def __init__(self, screen: Screen, save: Callable[[str, bool], None], width: int = 190, **options: Any) -> None:
+        self._save_under, self._busy = save, False
+        self.name = control(models.TextInput, "save as", screen.guarded(self._save), width, **options)
+        self.button = button("save", screen.guarded(lambda: self._save(self.button.label == "replace")), 80)
+
+    def set(self, name: str) -> None:
+        """Show the name of an opened file, without saving."""
+        self._busy = True
+        self.name.value = name
+        self._busy, self.button.label = False, "save"
+
+    def _save(self, replace: bool = False) -> None:
+        name, self.button.label = self.name.value.strip(), "save"
+        if not name or self._busy:
+            return
+        try:
+            self._save_under(name, replace)
+        except ReplaceError:
+            self.button.label = "replace"
+            raise
 
 
 def counter(changed: Callable[[], None] | None = None) -> Any:

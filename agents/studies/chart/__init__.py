@@ -22,6 +22,7 @@ from agents.studies.chart import errors
 from agents.studies.chart.ensembles import CONVERGED, INSERTIONS, SETTINGS, Insertion, Setting
 from agents.studies.chart.smooth import cases, orders, resolved, run_smooth
 from agents.studies.claims.cases import load_rows
+from agents.terminal.tables import print_line
 from probe_env.physics.closed_forms.bare_chains import LAPACK
 from probe_env.physics.methods import METHODS, ON_NODES
 
@@ -88,7 +89,7 @@ def draw_chart(output: Path) -> None:
     print_frame("Order and error before chaos", tables["orders"], texts=2)
     print_frame("Radial rms by choice", tables["choices"])
     print_frame("Radial rms by preset", tables["presets"], texts=2)
-    print(f"written: {output}/ ({', '.join(tables)} as .csv, smooth.png, chaos.png)")
+    print_line(f"written: {output}/ ({', '.join(tables)} as .csv, smooth.png, chaos.png)")
 
 
 def draw_smooth(table: pd.DataFrame, path: Path) -> None:

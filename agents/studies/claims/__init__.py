@@ -19,6 +19,7 @@ from agents.records.manifest import write_manifest
 from agents.studies.builtin import Request, print_frame
 from agents.studies.claims import cases
 from agents.studies.claims.cases import PROBES, SUBSET, TRIPS, USUAL_FRICTION, insertion_of, run_cases, trip
+from agents.terminal.tables import print_line
 from probe_env.arrays import FloatArray
 
 SIGNIFICANCE: Final = 0.05
@@ -56,7 +57,7 @@ def run(request: Request) -> pd.DataFrame:
     complete = Ensemble(table).has(*(f"l{length}" for length in GROWTH))
     if complete:
         draw_growth(table, output / "growth.png")
-    print(f"written: {output}/ (ensemble.csv, claims.csv{', growth.png' if complete else ''})")
+    print_line(f"written: {output}/ (ensemble.csv, claims.csv{', growth.png' if complete else ''})")
     return claims
 
 

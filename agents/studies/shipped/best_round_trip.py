@@ -29,6 +29,7 @@ from agents.policies.wrappers import RoundTripPolicy, insertion_task
 from agents.records.atomic import write_atomically
 from agents.records.manifest import origin, write_json
 from agents.studies.builtin import Request, print_frame
+from agents.terminal.tables import print_line
 from probe_env import Context
 from probe_env.envs.contexts import SPLIT_SIZES
 from probe_env.envs.task import TaskConfig
@@ -111,7 +112,7 @@ def run(request: Request) -> Numbers:
     unseen = load_case(whole.plant, "validation", 0, "both")
     config, output, played = train.config.full_observation, request.output, request.output / "simulated"
     space = ranges(config, whole.contexts)
-    print(f"{trials} trials of {limit} inspections each, stored in {played}; stored ones are not run again")
+    print_line(f"{trials} trials of {limit} inspections each, stored in {played}; stored ones are not run again")
     tried, commits = _run_trials(trials, space, train, played, request.workers)
     row = tried.iloc[int(tried["reward"].to_numpy().argmax())].to_dict()
     best = {column: row[column] for column in COLUMNS}
@@ -129,7 +130,7 @@ def run(request: Request) -> Numbers:
     rows = pd.DataFrame([{"schedule": one} | dict(compared[one]) | means[one] for one in compared])
     print_frame(f"In {len(unseen.contexts)} validation tubes", rows)
     print(f"{NAME}: reward minus that of {BASELINE}: {gain.text()} (95 % interval)")
-    print(f"written: {output}/ ({NAME}.csv: a schedule to evaluate, {NAME}-trials.csv, {NAME}.json)")
+    print_line(f"written: {output}/ ({NAME}.csv: a schedule to evaluate, {NAME}-trials.csv, {NAME}.json)")
     return best
 
 

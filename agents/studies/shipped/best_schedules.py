@@ -18,6 +18,7 @@ from agents.policies.on_map import FIRST, least_air
 from agents.records.atomic import write_atomically
 from agents.records.manifest import commit, origin, write_json
 from agents.studies.builtin import Request
+from agents.terminal.tables import print_line
 from probe_env import Context, Plant
 from probe_env.arrays import FloatArray
 from probe_env.envs.contexts import HELIX_DIAMETERS
@@ -109,12 +110,12 @@ def run(request: Request) -> None:
     plant = plant_at(request.tube)
     vibration = map_of(request.tube, plant)
     if plant is not None and vibration is stored_map():
-        print(f"{request.tube} has no map: the shipped map is used, with table 2's bore and air")
+        print_line(f"{request.tube} has no map: the shipped map is used, with table 2's bore and air")
     families = FAMILIES if plant is None else {name: FAMILIES[name] for name in OF_A_PLANT}
     for name in families:
         run_search(name, trials, request, vibration, plant)
     files = ", ".join(f"{name}.csv" for name in families)
-    print(f"written: {request.output}/ ({files}: schedules to evaluate; NAME-trials.csv, NAME.json)")
+    print_line(f"written: {request.output}/ ({files}: schedules to evaluate; NAME-trials.csv, NAME.json)")
 
 
 def run_search(name: str, trials: int, request: Request, vibration: VibrationMap, plant: Plant | None) -> Schedule:

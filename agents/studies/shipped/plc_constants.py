@@ -22,6 +22,7 @@ from agents.records.atomic import write_atomically
 from agents.records.manifest import commit, origin, write_json
 from agents.studies.builtin import Request, print_frame
 from agents.studies.shipped.best_schedules import search
+from agents.terminal.tables import print_line
 from probe_env import Context
 from probe_env.arrays import FloatArray
 from probe_env.envs.contexts import SPLIT_SIZES
@@ -86,7 +87,7 @@ def run(request: Request) -> None:
     limit, trim_limit = request.budget("limit", LIMIT, most), request.budget("limit", TRIM_LIMIT, most)
     search_law(TRIALS if request.trials is None else request.trials, GENERATIONS, limit, request)
     search_trim(trim_limit, request)
-    print(f"written: {request.output}/ (plc-law.json, trimmed-law.json, the trials of both)")
+    print_line(f"written: {request.output}/ (plc-law.json, trimmed-law.json, the trials of both)")
 
 
 def search_law(trials: int, generations: int, limit: int, request: Request) -> Constants:

@@ -22,7 +22,7 @@ from agents.records.atomic import write_atomically
 from agents.records.manifest import origin, write_json
 from agents.studies.builtin import Request
 from agents.studies.shipped.network import fit_network
-from agents.terminal.tables import print_terms
+from agents.terminal.tables import print_line, print_terms
 from agents.terminal.work import Work, announce
 from probe_env import Context, Fidelity, Plant, Scene
 from probe_env.arrays import FloatArray
@@ -96,7 +96,7 @@ def run(request: Request) -> Response:
     print_terms(
         {name: value if isinstance(value, str) else f"{value:.4g}" for name, value in (setting | quality).items()}
     )
-    print(f"written: {target}")
+    print_line(f"written: {target}")
     return response
 
 

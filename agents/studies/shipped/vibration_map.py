@@ -21,6 +21,7 @@ from agents.records.shipped import file_or_shipped, ships
 from agents.records.tables import read_parquet
 from agents.studies.builtin import Request
 from agents.studies.shipped.network import fit_network
+from agents.terminal.tables import print_line
 from probe_env import Scene, load_contexts
 from probe_env.arrays import FloatArray
 from probe_env.envs.contexts import SPLIT_SIZES
@@ -28,6 +29,7 @@ from probe_env.envs.plants import map_file
 from probe_env.envs.task import TaskConfig, value_at
 from probe_env.envs.vibration_map import CONTEXT, PROFILED, VibrationMap, features_of, feeds, rms_limit
 from probe_env.fidelity import resolve_fidelity
+from probe_env.files import escaped
 
 SEGMENT: Final = {"displacement": 3.0, "snr": 6.0}
 """Vibration measure -> length of constant feed and air [m]; "snr" is a running mean over 1.2 s, up to 1.9 m."""
@@ -117,7 +119,7 @@ def run(request: Request) -> Path:
     setting = {"contexts": "train", "episodes": len(plan.units()), "held_out_tubes": HELD_OUT}
     write_json(target.with_suffix(".json"), origin(commits=episodes["commit"]) | setting | quality)
     print(f"map of {len(plan.units())} insertions: explained variance of log rms {quality['explained_variance']:.3f}")
-    print(f"written: {target}")
+    print_line(f"written: {target}")
     return target
 
 
@@ -128,5 +130,6 @@ def target_of(request: Request) -> Path:
         return target
     if not ships("tubes", file_or_shipped("tubes", request.tube)):
         return map_file(request.tube)
-    print(f"probe-env: note: {request.tube} is shipped with its map; the new map is {target}", file=sys.stderr)
+    note = f"probe-env: note: {request.tube} is shipped with its map; the new map is {target}"
+    print(escaped(note), file=sys.stderr)
     return target

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from probe_env.arrays import BoolArray, FloatArray
 from probe_env.envs.episodes.episodes import Episodes, Step
-from probe_env.envs.task import TaskConfig
+from probe_env.envs.task import TaskConfig, as_actions
 
 AVERAGED: Final = ("radial_acceleration", "axial_acceleration", "rf_noise", "root_tension")
 """Observations that are averaged over the control periods of an action."""
@@ -47,10 +47,9 @@ def decide(episodes: Episodes, actions: npt.ArrayLike, active: BoolArray | None 
         return episodes.step(actions, active)
     count = len(episodes)
     running = np.ones(count, dtype=bool) if active is None else np.array(active, dtype=bool)
-    requested = np.asarray(actions, dtype=np.float32)
-    if requested.shape == (count, 2):  # else ``step`` raises
-        config.targets(np.where(running[:, None], requested, 0.0))
-        requested = changed_targets(config, episodes.actions, np.where(running[:, None], requested, 0.0))
+    requested = np.where(running[:, None], as_actions(actions, (count, 2)), 0.0).astype(np.float32)
+    config.targets(requested)
+    requested = changed_targets(config, episodes.actions, requested)
     total, before, is_running = None, episodes.inserted_length, running
     columns = averaged_columns(config)
     sums, periods = np.zeros((count, len(columns))), np.zeros((count, 1))

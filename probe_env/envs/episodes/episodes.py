@@ -26,7 +26,7 @@ from probe_env.envs.episodes.starts import (
     restored_on_error,
     settling,
 )
-from probe_env.envs.task import FAILURES, Score, TaskConfig, air_used
+from probe_env.envs.task import FAILURES, Score, TaskConfig, air_used, as_actions
 from probe_env.envs.task.observations import SensorModel, normal_draws
 from probe_env.fidelity import resolve_fidelity
 from probe_env.inspection.snr import SnrEstimator
@@ -225,9 +225,7 @@ class Episodes:
             RuntimeError: an active episode has ended and was not reset.
         """
         stepped = np.ones(len(self), dtype=bool) if active is None else np.asarray(active, dtype=bool)
-        requested = np.asarray(actions, dtype=np.float32)
-        if requested.shape != (len(self), 2):
-            raise ValueError(f"actions have shape {requested.shape}; accepted: ({len(self)}, 2), feed and air")
+        requested = as_actions(actions, (len(self), 2)).astype(np.float32)
         # probes that are not stepped keep their last action
         requested = np.where(stepped[:, None], requested, self.actions).astype(np.float32)
         targets = self.config.targets(requested, self.allow_standstill) * self.direction[:, None]

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
+import numpy.typing as npt
 
 from probe_env.arrays import FloatArray
 from probe_env.design import RANGES
@@ -52,6 +53,24 @@ UNITS: Final = {
 }  # fmt: skip
 """Scale of an observation, or of the argument of its logarithm [SI unit]."""
 LOGARITHMIC: Final = ("rf_noise", "radial_acceleration", "axial_acceleration")
+
+
+def as_actions(actions: npt.ArrayLike, shape: tuple[int, ...]) -> npt.NDArray[Any]:
+    """Actions as an array of a shape.
+
+    Raises:
+        ValueError: not numbers, or of another shape.
+    """
+    values: npt.NDArray[Any]
+    try:
+        values = np.asarray(actions)
+    except ValueError:  # rows of different lengths
+        values = np.asarray(None)
+    if values.dtype.kind not in "biuf":
+        raise ValueError(f"action = {repr(actions)[:100]} is not an array of numbers of the accepted shape {shape}")
+    if values.shape != shape:
+        raise ValueError(f"action has shape {values.shape}; the accepted shape is {shape}")
+    return values
 
 
 def share_of(action: FloatArray) -> FloatArray:

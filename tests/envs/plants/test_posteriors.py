@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from probe_env import Plant
+from probe_env.files import FileError
 
 N = 200
 RNG = np.random.default_rng(3)
@@ -74,7 +75,11 @@ def test_files_that_are_no_calibration_are_refused(tmp_path: Path) -> None:
         with pytest.raises(ValueError, match=problem) as error:
             plant_of_text(tmp_path, 'posterior = "calibration.json"')
         assert "\n" not in str(error.value)
+        assert "tube.toml: posterior: " in str(error.value)
         assert "calibration.json: " in str(error.value)
+    for name, problem in (("none.json", "no such file: "), ("a\\u0000b", "not the name of a file: embedded null byte")):
+        with pytest.raises(FileError, match=f"tube.toml: posterior: .*{problem}"):
+            plant_of_text(tmp_path, f'posterior = "{name}"')
 
 
 def test_draws_without_a_file_are_checked() -> None:
