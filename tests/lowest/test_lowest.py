@@ -64,5 +64,5 @@ def test_commands_train_evaluate_and_read_a_log(tmp_path, monkeypatch):
     ):
         assert main(line.split()) == 0, line
     episodes = pd.read_csv("evaluation/episodes.csv")
-    assert episodes["policy"].tolist() == ["constant", "seed-0/agent.safetensors"]
+    assert episodes["policy"].tolist() == ["constant", "agent"]
     assert episodes["inspected_share"][0] == pytest.approx(1.0)
