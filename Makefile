@@ -7,7 +7,7 @@ STAMP := $(VENV)/.complete
 # pip leaves compiling Python files to their first import, which must then be kept
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: setup demo test test-slow test-haswell test-bounds test-processors quick lint types kernels test-pythons test-ray browser test-app docs clean
+.PHONY: setup demo test test-slow test-haswell test-bounds test-processors quick lint types kernels test-pythons test-ray test-libraries test-lowest browser test-app docs clean
 
 setup: $(STAMP)
 
@@ -32,8 +32,8 @@ kernels: setup
 	$(BIN)/python -m probe_env.compile_kernels
 
 # two test processes on two cores: threads of linear algebra would wait for each other
-test test-slow test-haswell test-bounds test-processors quick: export OPENBLAS_NUM_THREADS = 1
-test test-slow test-haswell test-bounds test-processors quick: export OMP_NUM_THREADS = 1
+test test-slow test-haswell test-bounds test-processors test-libraries test-lowest quick: export OPENBLAS_NUM_THREADS = 1
+test test-slow test-haswell test-bounds test-processors test-libraries test-lowest quick: export OMP_NUM_THREADS = 1
 PYTEST := $(BIN)/pytest --numprocesses 2 --dist worksteal
 
 # make test TESTS=tests/envs runs a part
@@ -42,11 +42,11 @@ test: setup
 	$(MAKE) --jobs=2 --output-sync=target lint types kernels
 	$(PYTEST) -m "not slow" $(TESTS)
 
-# what takes long: the wheel, the site, training, real kills, ensembles; then, side by side, bounds checks and the
-# statistics as another processor rounds them (test-processors has more processors, and other seeds)
+# what takes long: the wheel, the site, training, real kills, ensembles; then, side by side, bounds checks, the statistics
+# as another processor rounds them (test-processors has more processors, and other seeds), other libraries and versions
 test-slow: setup kernels
 	$(PYTEST) -m slow $(TESTS)
-	$(MAKE) --jobs=2 --output-sync=target test-haswell test-bounds
+	$(MAKE) --jobs=2 --output-sync=target test-haswell test-bounds test-libraries test-lowest
 
 test-haswell: setup
 	$(BIN)/python tests/processors.py --only haswell
@@ -80,12 +80,17 @@ test-python-%:
 	.venv-$*/bin/python -m probe_env.compile_kernels
 	.venv-$*/bin/pytest --numprocesses 2 --dist worksteal -ra
 
-# an environment of its own: RLlib pins gymnasium 1.2.2
-RAY := .venv-ray
-test-ray:
-	test -x $(RAY)/bin/python || $(PYTHON) -m venv $(RAY)
-	$(RAY)/bin/pip install --quiet --disable-pip-version-check --constraint constraints-ray.txt --editable '.[agents,dev,ray]'
-	$(RAY)/bin/pytest tests/ray
+# environments of their own, pinned by tests/NAME/constraints.txt: RLlib, other libraries, and the lowest versions accepted
+APART := ray libraries lowest
+NEEDS_ray := '.[agents,dev,ray]'
+NEEDS_libraries := . pytest 'minari[create,hdf5]' skrl tianshou torchrl
+NEEDS_lowest := '.[agents,app,commands,plant]' pytest
+# numba keeps the kernels of one of its versions
+test-lowest: export NUMBA_CACHE_DIR = $(CURDIR)/.venv-lowest/kernels
+$(APART:%=test-%): test-%:
+	test -x .venv-$*/bin/python || $(PYTHON) -m venv .venv-$*
+	.venv-$*/bin/pip install --quiet --disable-pip-version-check --constraint tests/$*/constraints.txt --editable $(NEEDS_$*)
+	.venv-$*/bin/pytest -W default --disable-warnings tests/$*
 
 # the app in a real browser: Debian's Chromium, driven by Playwright, which neither the app nor make test needs
 CHROMIUM ?= /usr/bin/chromium
@@ -107,5 +112,5 @@ docs: setup
 	@echo "open $(CURDIR)/$(SITE)/index.html"
 
 clean:
-	rm -rf $(VENV) $(RAY) $(PYTHONS:%=.venv-%) output
+	rm -rf $(VENV) $(APART:%=.venv-%) $(PYTHONS:%=.venv-%) output
 	find probe_env -name __pycache__ -prune -exec rm -rf {} +

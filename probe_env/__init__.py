@@ -57,7 +57,7 @@ try:
 except PackageNotFoundError:  # sources on the path that nobody has installed
     __version__ = "unknown"
 
-# no max_episode_steps by default: the tasks keep their own time limit
+# no max_episode_steps: the time limit depends on the arguments; an environment writes it into its own spec
 for _name in ("Insertion-v1", "IncrementalInsertion-v1", "Snapshot-v1", "Inspection-v0"):
     _class = _name.split("-")[0]
     gymnasium.register(

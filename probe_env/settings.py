@@ -191,11 +191,11 @@ def closest(name: object, known: Iterable[str]) -> str:
 
 
 def check_keywords(what: str, given: Iterable[str], known: Iterable[str]) -> None:
-    """Raise TypeError, as Python does, where a keyword argument is not one of those that there are."""
+    """Raise TypeError if a keyword argument is unknown; libraries look for Python's words in the message."""
     unknown = sorted(set(given) - set(known))
     if unknown:
         accepted = f"accepted are {', '.join(known)}{closest(unknown[0], known)}"
-        raise TypeError(f"{what}() has no argument {', '.join(unknown)}; {accepted}")
+        raise TypeError(f"{what}() got an unexpected keyword argument {unknown[0]!r}; {accepted}")
 
 
 def whole_steps(name: str, value: float | None, time_step: float) -> int:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import errno
 import gc
+import re
 import secrets
+import socket
 import webbrowser
 from collections.abc import Collection
 from contextlib import suppress
@@ -15,7 +18,6 @@ from bokeh.application.handlers.function import FunctionHandler
 from bokeh.document import Document
 from bokeh.server.server import BaseServer
 from bokeh.server.tornado import BokehTornado
-from bokeh.server.util import bind_sockets
 from tornado.httpserver import HTTPServer
 from tornado.httputil import HTTPServerRequest
 from tornado.ioloop import IOLoop
@@ -48,8 +50,8 @@ class Gate(Matcher):
     printed address and then in a cookie; and pages beyond ``MOST_PAGES``.
     """
 
-    def __init__(self, server: BaseServer, cookie: str, token: str) -> None:
-        self.server, self.cookie, self.token = server, cookie, token
+    def __init__(self, server: BaseServer, hosts: Collection[str], cookie: str, token: str) -> None:
+        self.server, self.hosts, self.cookie, self.token = server, hosts, cookie, token
 
     def match(self, request: HTTPServerRequest) -> dict[str, Any] | None:
         """Arguments of ``Refusal``; None: the request is not refused."""
@@ -62,7 +64,7 @@ class Gate(Matcher):
             same_site = headers["Origin"] == f"http://{request.host}"
         else:
             same_site = headers.get("Sec-Fetch-Site", "none") in ("none", "same-origin")
-        if request.host_name not in HOSTS or not same_site:
+        if request.host_name not in self.hosts or not same_site:
             return 403, "Request by another site: paste the printed address into the browser"
         cookie = request.cookies.get(self.cookie)
         token = cookie.value.encode() if cookie else b""
@@ -119,7 +121,7 @@ class ReportHandler(RequestHandler):
         self.write((folder / "report.html").read_bytes())
 
 
-def serve(tube: Path | None, port: int, output: Path, show: bool) -> None:
+def serve(tube: Path | None, port: int, output: Path, show: bool, origin: str | None = None) -> None:
     """Serve the page until interrupted by a signal.
 
     Args:
@@ -127,18 +129,25 @@ def serve(tube: Path | None, port: int, output: Path, show: bool) -> None:
         port: port; 0: any free one.
         output: folder of runs, schedules and tubes.
         show: open a browser.
+        origin: another address of the page, "host:port", which is printed.
+
+    Raises:
+        ValueError: tube, port or origin is not valid.
+        OSError: the port is taken.
     """
     if not 0 <= port <= 65535:
         raise ValueError(f"port = {port!r} is outside the accepted range 0 (any) to 65535")
+    if origin is not None and not re.fullmatch(r"[a-z0-9.-]+:\d{1,5}", origin):
+        raise ValueError(f"origin = {origin!r} is not host:port, such as localhost:8080")
     path = None if tube is None else file_or_shipped("tubes", tube)
     if path is not None:
         Plant.from_toml(path)
     app = AppState(RunQueue(), output)
     try:
         token = secrets.token_urlsafe()
-        server = make_server(app, path, port, token)
+        server = make_server(app, path, port, token, origin)
         server.start()
-        address = f"http://localhost:{server.port}{LOGIN_URL}?token={token}"
+        address = f"http://{origin or f'localhost:{server.port}'}{LOGIN_URL}?token={token}"
         with suppress(KeyboardInterrupt):  # raised by a signal, see agents.cli.interrupts
             page = f"the page is at {address} (Ctrl-C ends it)"
             print(escaped(f"{page}; results are stored in {output}/"), flush=True)
@@ -151,8 +160,12 @@ def serve(tube: Path | None, port: int, output: Path, show: bool) -> None:
         app.queue.close()
 
 
-def make_server(app: AppState, tube: Path | None, port: int, token: str) -> BaseServer:
-    """Make a server, not started, for requests with the token; pages load all files from it."""
+def make_server(app: AppState, tube: Path | None, port: int, token: str, origin: str | None = None) -> BaseServer:
+    """Make a server, not started, for requests with the token; pages load all files from it.
+
+    Raises:
+        OSError: the port is taken.
+    """
 
     def collect_garbage(session: Any) -> None:  # of closed pages
         gc.unfreeze()
@@ -164,18 +177,27 @@ def make_server(app: AppState, tube: Path | None, port: int, token: str) -> Base
         document.on_session_destroyed(collect_garbage)
         gc.freeze()  # a garbage collection of open pages would stop them for 0.3 s
 
-    sockets, port = bind_sockets(HOSTS[1], port)
+    try:
+        listener = socket.create_server((HOSTS[1], port))
+    except OSError as error:
+        if error.errno != errno.EADDRINUSE:
+            raise
+        raise OSError(f"port {port} is taken: --port for another, --port 0 for any") from error
+    listener.setblocking(False)
+    port = listener.getsockname()[1]
+    origins = [f"{host}:{port}" for host in HOSTS] + ([origin] if origin else [])
+    hosts = {each.partition(":")[0] for each in origins}
     secret = {"cookie": f"probe-env-{port}", "token": token}  # a browser sends cookies to all ports of a host
     pages = BokehTornado(
         {"/": Application(FunctionHandler(open_document))},
         absolute_url=f"http://{HOSTS[0]}:{port}/",
-        extra_websocket_origins=[f"{host}:{port}" for host in HOSTS],
+        extra_websocket_origins=origins,
         extra_patterns=[(REPORT_URL, ReportHandler, {"folders": app.reports}), (LOGIN_URL, LoginHandler, secret)],
         check_unused_sessions_milliseconds=10_000,
     )
     http = HTTPServer(pages)
-    http.add_sockets(sockets)
+    http.add_socket(listener)
     server = BaseServer(IOLoop.current(), pages, http)
     # not an auth_provider: Bokeh asks it neither for static files nor for other patterns
-    pages.add_handlers(".*", [Rule(Gate(server, **secret), Refusal)])
+    pages.add_handlers(".*", [Rule(Gate(server, hosts, **secret), Refusal)])
     return server

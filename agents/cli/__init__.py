@@ -17,6 +17,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point of ``probe-env``; returns the exit status."""
     if arguments is None:  # the command itself, before numpy is loaded
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # the matrices are too small for threads
+        os.environ["MPLBACKEND"] = "agg"  # a notebook passes on its own, which may not be installed here
     _open_closed_streams()
     with signal_handlers():
         try:

@@ -244,6 +244,8 @@ class App:
     """Tube file (tube.toml) to open; default: the study's tubes."""
     port: int = 5006
     """Port of the server; 0: any free port."""
+    origin: str | None = None
+    """Another address at which a browser opens the page, such as localhost:8080: the other end of an SSH tunnel."""
     output: Path = Path("output/app")
     """Folder of runs, schedules and tubes."""
     show: bool = True
@@ -253,4 +255,4 @@ class App:
         """Serve until it is interrupted."""
         from agents.app.server import serve
 
-        serve(self.tube, self.port, self.output, self.show)
+        serve(self.tube, self.port, self.output, self.show, self.origin)

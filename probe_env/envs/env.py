@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import operator
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from enum import Enum
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, SupportsFloat, Unpack, cast
 
 import gymnasium as gym
 import numpy as np
 import numpy.typing as npt
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
@@ -21,7 +26,7 @@ from probe_env.envs.surrogate import SurrogateEpisodes, check_task, check_tube
 from probe_env.envs.task import TaskConfig, as_actions
 from probe_env.envs.vibration_map import VibrationMap, stored_map
 from probe_env.fidelity import Fidelity, is_surrogate
-from probe_env.settings import check_keywords, one_line_errors
+from probe_env.settings import Model, check_keywords, one_line_errors
 
 if TYPE_CHECKING:
     from probe_env.envs.pictures.episode import Renderer
@@ -81,7 +86,43 @@ def check_episode_steps(steps: int | None) -> None:
         raise ValueError(f"max_episode_steps = {steps!r} is outside the accepted range 1 and more")
 
 
-class ProbeEnv(gym.Env[Observation, Observation]):
+def plain(value: Any) -> Any:
+    """An argument of ``make`` as JSON can store it: settings as mappings, paths and modes as text, recursively."""
+    match value:
+        case Model():
+            return value.model_dump(mode="json")
+        case Mapping():
+            return {name: plain(entry) for name, entry in value.items()}
+        case list() | tuple():
+            return [plain(entry) for entry in value]
+        case Path():
+            return str(value)
+        case Enum():
+            return value.value
+        case _:
+            return value
+
+
+class Specified:
+    """An environment whose ``spec`` says how many steps an episode has at most, and can be stored as JSON.
+
+    The number is not registered, because it depends on the arguments: Gymnasium would truncate at the registered one.
+    """
+
+    most_steps: int
+    _spec: EnvSpec | None = None
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """Specification by ``gymnasium.make``, with ``max_episode_steps`` and plain arguments."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:
+        self._spec = spec and replace(spec, max_episode_steps=self.most_steps, kwargs=plain(spec.kwargs))
+
+
+class ProbeEnv(Specified, gym.Env[Observation, Observation]):
     """Base class of the environments with one probe; see ``InsertionEnv`` for the arguments."""
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": list(RENDER_MODES), "render_fps": 10}  # type: ignore[misc]
@@ -101,6 +142,7 @@ class ProbeEnv(gym.Env[Observation, Observation]):
             raise ValueError(f"render_mode = {render_mode!r}: fidelity 'surrogate' simulates no motion to render")
         self.config, settings = resolve_settings(self.defaults, config, settings)
         check_keywords("gym.make", settings, ("config", *DEFAULTS))
+        self.most_steps = self.config.most_actions
         self.episodes = make_episodes(1, self.config, threads=1, **settings)
         self.observation_space, self.action_space = spaces_of(self.config)  # type: ignore[assignment]
         self.render_mode = render_mode
@@ -313,7 +355,7 @@ class InspectionEnv(ProbeEnv):
     defaults: ClassVar[dict[str, Any]] = {"passes": "both", "time_limit": 1800.0}
 
 
-class ProbeVectorEnv(gym.vector.VectorEnv[Observation, Observation, Any]):
+class ProbeVectorEnv(Specified, gym.vector.VectorEnv[Observation, Observation, Any]):
     """N environments in one batch; each equals a single environment with the seed ``seed + i`` bit for bit.
 
     Args:
@@ -357,12 +399,36 @@ class ProbeVectorEnv(gym.vector.VectorEnv[Observation, Observation, Any]):
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._rngs: dict[int, np.random.Generator] = {}
+        self._seeds = [-1] * num_envs
         self._ended = np.zeros(num_envs, dtype=bool)
         self.max_episode_steps, self._steps = max_episode_steps, np.zeros(num_envs, dtype=int)
+        self.most_steps = min(max_episode_steps or self.config.most_actions, self.config.most_actions)
+
+    @property
+    def np_random_seed(self) -> tuple[int, ...]:  # type: ignore[override]  # as SyncVectorEnv
+        """Seeds of the generators of the N environments."""
+        self._seed(range(self.num_envs))
+        return tuple(self._seeds)
+
+    @property  # type: ignore[misc]
+    def np_random(self) -> tuple[np.random.Generator, ...]:  # type: ignore[override]
+        """Generators of the N environments."""
+        self._seed(range(self.num_envs))
+        return tuple(self._rngs[k] for k in range(self.num_envs))
+
+    def _seed(self, which: Iterable[int], seeds: Sequence[int | None] | None = None) -> None:
+        """Make generators of environments that have a seed, or had no generator; other generators continue."""
+        for k in which:
+            seed = None if seeds is None else seeds[k]
+            if seed is not None or k not in self._rngs:
+                self._rngs[k], self._seeds[k] = gym.utils.seeding.np_random(seed)
 
     @one_line_errors()
     def reset(
-        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+        self,
+        *,
+        seed: int | np.integer[Any] | Sequence[int | np.integer[Any] | None] | None = None,
+        options: dict[str, Any] | None = None,
     ) -> tuple[Observation, dict[str, Any]]:
         """Start all episodes, or those of ``options["reset_mask"]``. Other options: see ``Episodes.reset``.
 
@@ -375,13 +441,14 @@ class ProbeVectorEnv(gym.vector.VectorEnv[Observation, Observation, Any]):
         if mask.shape != (self.num_envs,) or mask.dtype != np.bool_ or not mask.any():
             raise ValueError(f"options['reset_mask'] must be {self.num_envs} booleans, at least one of them true")
         which = np.flatnonzero(mask).tolist()
-        seeds = [seed + k for k in range(self.num_envs)] if isinstance(seed, int | np.integer) else seed
+        seeds: list[int | None] | None = None
+        if isinstance(seed, int | np.integer):
+            seeds = [int(seed) + k for k in range(self.num_envs)]
+        elif seed is not None:
+            seeds = [None if entry is None else operator.index(entry) for entry in seed]
         if seeds is not None and len(seeds) != self.num_envs:
             raise ValueError(f"seed has {len(seeds)} entries for {self.num_envs} environments")
-        for k in which:
-            env_seed = None if seeds is None else seeds[k]
-            if env_seed is not None or k not in self._rngs:  # else its generator continues
-                self._rngs[k] = gym.utils.seeding.np_random(env_seed)[0]
+        self._seed(which, seeds)
         observation, infos = self.episodes.reset(which, self._rngs, dict.fromkeys(which, options))
         self._ended[mask], self._steps[mask] = False, 0
         merged: dict[str, Any] = {}
@@ -432,25 +499,26 @@ class ProbeVectorEnv(gym.vector.VectorEnv[Observation, Observation, Any]):
         return infos
 
 
-class InsertionVectorEnv(ProbeVectorEnv):
+# VectorEnv is among their direct bases because skrl recognises a batch by that
+class InsertionVectorEnv(ProbeVectorEnv, gym.vector.VectorEnv[Observation, Observation, Any]):
     """Native batch of ``probe_env/Insertion-v1``."""
 
     single = InsertionEnv
 
 
-class IncrementalInsertionVectorEnv(ProbeVectorEnv):
+class IncrementalInsertionVectorEnv(ProbeVectorEnv, gym.vector.VectorEnv[Observation, Observation, Any]):
     """Native batch of ``probe_env/IncrementalInsertion-v1``."""
 
     single = IncrementalInsertionEnv
 
 
-class SnapshotVectorEnv(ProbeVectorEnv):
+class SnapshotVectorEnv(ProbeVectorEnv, gym.vector.VectorEnv[Observation, Observation, Any]):
     """Native batch of ``probe_env/Snapshot-v1``."""
 
     single = SnapshotEnv
 
 
-class InspectionVectorEnv(ProbeVectorEnv):
+class InspectionVectorEnv(ProbeVectorEnv, gym.vector.VectorEnv[Observation, Observation, Any]):
     """Native batch of ``probe_env/Inspection-v0``."""
 
     single = InspectionEnv

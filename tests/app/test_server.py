@@ -4,6 +4,7 @@ import asyncio
 import gc
 import os
 import signal
+import socket
 import threading
 import weakref
 from types import SimpleNamespace
@@ -93,6 +94,27 @@ def test_the_printed_address_sets_a_cookie_that_opens_the_page_and_its_connectio
     ):
         headers["Host"] = f"localhost:{server.port}"
         assert server.io_loop.run_sync(lambda headers=headers: connect(server, headers)) == code
+
+
+def test_another_address_is_let_in_if_it_is_named(app):
+    """The other end of an SSH tunnel, or a proxy."""
+    asyncio.set_event_loop(asyncio.new_event_loop())
+    server = make_server(app, None, 0, TOKEN, "named.example:8080")
+    server.start()
+    try:
+        for host, code in (("named.example:8080", 101), ("other.example:8080", 403)):
+            headers = {"Host": host, "Origin": f"http://{host}", "Cookie": f"probe-env-{server.port}={TOKEN}"}
+            assert server.io_loop.run_sync(lambda headers=headers: connect(server, headers)) == code
+    finally:
+        server.stop()
+        server.io_loop.close()
+
+
+def test_a_port_that_is_taken_is_named(app, tmp_path, refused):
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        port = other.getsockname()[1]
+        refused(["app", "--port", port, "--no-show"], f"port {port} is taken: --port for another, --port 0 for any")
+    refused(["app", "--origin", "http://localhost", "--no-show"], "origin = 'http://localhost' is not host:port")
 
 
 async def connect(server, headers):

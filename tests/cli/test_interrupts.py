@@ -81,6 +81,11 @@ def command(prelude, *arguments, pipe=""):
     return subprocess.run(line, capture_output=True, text=True, **shell)
 
 
+BACKEND = """
+os.environ["MPLBACKEND"] = "module://of_a_notebook.elsewhere"
+import agents.cli
+agents.cli._run = lambda _: print(__import__("matplotlib").get_backend())
+"""
 IN_IMPORT = """
 import agents.cli
 assert not {"numpy", "tyro", "pydantic", "typing_extensions", "probe_env"} & set(sys.modules)
@@ -140,9 +145,15 @@ def test_exit_codes_of_processes(tmp_path):
     assert (ended.returncode, ended.stdout, ended.stderr) == (1, "1\n", "")
 
 
+def test_a_backend_of_a_notebook_elsewhere_is_not_used():
+    ended = command(BACKEND)
+    assert (ended.stdout, ended.stderr) == ("agg\n", "")
+
+
 def test_ignored_signals_and_threads_that_are_set_stay(monkeypatch):
     """A job under nohup has SIGHUP ignored."""
     monkeypatch.setenv("OPENBLAS_NUM_THREADS", "2")
+    monkeypatch.setenv("MPLBACKEND", "agg")  # main sets it; restored after the test
     monkeypatch.setattr("agents.cli._run", lambda _: os.kill(os.getpid(), signal.SIGHUP) or 7)
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:

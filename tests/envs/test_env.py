@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env
-from gymnasium.wrappers import FlattenObservation, RecordEpisodeStatistics, RecordVideo, TimeLimit
+from gymnasium.wrappers import FlattenObservation, RecordEpisodeStatistics, RecordVideo, TimeAwareObservation, TimeLimit
 
 import probe_env
+from probe_env.envs.contexts import Ranges
 from probe_env.inspection.detection import DEPTHS
 
 IDS = pytest.mark.parametrize("env_id", ["probe_env/Insertion-v1", "probe_env/Snapshot-v1", "probe_env/Inspection-v0"])
@@ -49,6 +50,64 @@ def test_a_spec_goes_through_json(env_id):
     assert restored.unwrapped.config == env.unwrapped.config
     assert restored.unwrapped.episodes.sampler.scene == env.unwrapped.episodes.sampler.scene
     assert restored.unwrapped.episodes.sampler.scene.tube.helix_diameter == 2.0
+
+
+CONTEXTS = [
+    [probe_env.Context(friction=0.2), {"friction": 0.11}],
+    Ranges(friction=(0.12, 0.18)),
+    {"helix_diameter": [1.0, 1.5, 2.0]},
+    "train",
+]
+
+
+@pytest.mark.parametrize("contexts", CONTEXTS)
+def test_a_spec_with_models_goes_through_json(contexts):
+    task, scene = probe_env.TaskConfig(time_limit=20.0, vibration_measure="snr"), probe_env.Scene(feed_speed=0.1)
+    settings = {"config": task, "scene": scene, "contexts": contexts, "fidelity": probe_env.Fidelity(time_step=1e-4)}
+    for make in (gym.make, gym.make_vec):
+        env = make("probe_env/Insertion-v1", **settings)
+        restored = make(EnvSpec.from_json(env.spec.to_json())).unwrapped.episodes
+        assert restored.config == env.unwrapped.episodes.config
+        assert restored.sampler == env.unwrapped.episodes.sampler
+        assert restored.fidelity == env.unwrapped.episodes.fidelity
+    tube = {"tube": {"helix_length": 70.0}, "contact": {"friction": {"low": 0.12, "high": 0.22}}}
+    env = gym.make("probe_env/Insertion-v1", tube=probe_env.Plant.model_validate(tube))
+    restored = gym.make(EnvSpec.from_json(env.spec.to_json())).unwrapped
+    assert restored.config == env.unwrapped.config
+    assert restored.episodes.sampler == env.unwrapped.episodes.sampler
+
+
+def test_the_spec_has_the_number_of_steps_of_the_time_limit():
+    tube = {"tube": {"helix_length": 120.0}}  # twice the study's, and so is the time limit
+    for name, settings, expected in (
+        ("Insertion-v1", {}, 900),
+        ("Insertion-v1", {"config": {"time_limit": 300}}, 300),
+        ("Insertion-v1", {"config": {"time_limit": 2.1, "period": 0.7}}, 3),  # 2.1 / 0.7 is more than 3
+        ("Insertion-v1", {"config": {"time_limit": 0.35, "period": 0.1}}, 4),
+        ("Insertion-v1", {"tube": tube}, 1800),
+        ("Insertion-v1", {"max_episode_steps": 50}, 50),
+        ("Insertion-v1", {"max_episode_steps": -1}, 900),
+        ("IncrementalInsertion-v1", {}, 180),
+        ("IncrementalInsertion-v1", {"config": {"time_limit": 12}}, 3),  # actions of 5, 5 and 2 periods
+        ("Snapshot-v1", {}, 80),
+        ("Inspection-v0", {"fidelity": "fast"}, 1800),
+        ("Design-v1", {}, 1),
+    ):
+        env = gym.make(f"probe_env/{name}", **settings)
+        assert env.spec.max_episode_steps == TimeAwareObservation(env).max_timesteps == expected
+        if name != "Design-v1" and expected > 0 and settings.get("max_episode_steps") != -1:
+            assert gym.make_vec(f"probe_env/{name}", 1, **settings).spec.max_episode_steps == expected
+
+
+def test_an_environment_made_from_its_spec_ends_with_its_figures():
+    """Gymnasium adds a TimeLimit of the number in the spec, which ends no episode before the environment does."""
+    made = gym.make("probe_env/Snapshot-v1", config={"time_limit": 0.3}, **SNAPSHOT)
+    env = made.spec.make()
+    assert isinstance(env, TimeLimit)
+    env.reset(seed=0)
+    steps = [env.step(env.action_space.sample()) for _ in range(3)]
+    assert [truncated for *_, truncated, _ in steps] == [False, False, True]
+    assert steps[-1][-1]["episode_kpis"]["inspection_time_s"] == pytest.approx(0.3)
 
 
 @IDS

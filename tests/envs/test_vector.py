@@ -106,7 +106,7 @@ def test_make_vec_options_and_refusals():
     with pytest.raises(ValueError, match="max_episode_steps = 0"):
         ProbeVecEnv(max_episode_steps=0)
     for what, make in (("gym.make", gym.make), ("gym.make_vec", gym.make_vec), ("ProbeVecEnv", ProbeVecEnv)):
-        message = rf"{what}\(\) has no argument fidelty; accepted are config, tube, .*; the closest: fidelity"
+        message = rf"{what}\(\) got an unexpected keyword argument 'fidelty'; accepted are .*; the closest: fidelity"
         with pytest.raises(TypeError, match=message):
             make("probe_env/Snapshot-v1", fidelty="fast")
     env = gym.make_vec("probe_env/Snapshot-v1", num_envs=2, **CASES["probe_env/Snapshot-v1"])
@@ -115,6 +115,30 @@ def test_make_vec_options_and_refusals():
     _, info = env.reset(seed=1, options={"friction": 0.2})
     assert info["context"]["friction"].tolist() == [0.2, 0.2]
     assert env.spec.id == "probe_env/Snapshot-v1"
+
+
+def test_seeds_of_a_batch_are_those_of_its_environments():
+    batch = gym.make_vec("probe_env/Snapshot-v1", 2, **CASES["probe_env/Snapshot-v1"])
+    sync = gym.make_vec("probe_env/Snapshot-v1", 2, vectorization_mode="sync", **CASES["probe_env/Snapshot-v1"])
+    assert len(set(batch.np_random_seed)) == 2  # drawn, if read before a reset
+    for seed, python_seed, expected in (
+        (7, 7, (7, 8)),
+        (np.int64(3), 3, (3, 4)),
+        (np.array([8, 9]), [8, 9], (8, 9)),
+        ([np.int32(5), None], [5, None], (5, 9)),
+        (None, None, (5, 9)),
+    ):
+        assert np.array_equal(batch.reset(seed=seed)[0], sync.reset(seed=python_seed)[0])
+        assert batch.np_random_seed == sync.np_random_seed == expected
+        states = [[rng.bit_generator.state for rng in envs.np_random] for envs in (batch, sync)]
+        assert states[0] == states[1]
+    with pytest.raises(TypeError, match="cannot be interpreted as an integer"):
+        batch.reset(seed=[0.5, 1])
+
+
+def test_libraries_recognise_a_batch_by_its_direct_bases():
+    for env_id in CASES:
+        assert gym.vector.VectorEnv in type(gym.make_vec(env_id, 1, **CASES[env_id])).__bases__
 
 
 def test_sb3_seeds_options_and_attributes():

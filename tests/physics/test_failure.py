@@ -84,7 +84,8 @@ def test_bad_constructor_arguments():
         with pytest.raises(ValueError, match=message):
             Simulator(SHORT, **arguments)
     with pytest.raises(
-        TypeError, match=r"Simulator\(\) has no argument grown; accepted are solver, growing, time_lapse"
+        TypeError,
+        match=r"Simulator\(\) got an unexpected keyword argument 'grown'; accepted are solver, growing",
     ):
         Simulator(SHORT, grown=True)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Annotated, Any, Final, Literal
 
@@ -241,6 +242,16 @@ class TaskConfig(Observation, Disturbances, Limits, Reward, Actuators, Timing, R
     def limit(self) -> float:
         """Limit of the vibration measure, SI units."""
         return self.vibration_limit or MEASURES[self.vibration_measure][1]
+
+    @property
+    def most_periods(self) -> int:
+        """Number of control periods after which an episode is truncated."""
+        return math.ceil((self.time_limit - 1e-9) / self.period)  # 2.1 / 0.7 is more than 3
+
+    @property
+    def most_actions(self) -> int:
+        """Number of actions of the environment after which an episode is truncated."""
+        return math.ceil(self.most_periods / self.periods_per_action)
 
     @property
     def observations(self) -> dict[str, tuple[float, float, str]]:

@@ -67,7 +67,7 @@ def ending(
     good = stepped & ~diverged
     complete = good & (inserted >= helix_length - END_TOLERANCE) & config.growing
     lost = (slack_steps >= config.lost_drive_periods) & good & ~complete
-    late = stepped & (time >= config.time_limit - 1e-9)
+    late = stepped & (np.rint(time / config.period) >= config.most_periods)
     return {"complete": complete, "lost_drive": lost, "diverged": diverged & stepped, "out_of_time": late}
 
 
