@@ -7,7 +7,7 @@ STAMP := $(VENV)/.complete
 # pip leaves compiling Python files to their first import, which must then be kept
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: setup demo test test-slow test-haswell test-bounds test-processors quick lint types kernels test-pythons test-ray test-libraries test-lowest browser test-app docs clean
+.PHONY: setup demo test test-slow test-haswell test-bounds test-processors quick lint types kernels test-pythons test-ray test-libraries test-lowest test-zoo browser test-app docs clean
 
 setup: $(STAMP)
 
@@ -32,8 +32,8 @@ kernels: setup
 	$(BIN)/python -m probe_env.compile_kernels
 
 # two test processes on two cores: threads of linear algebra would wait for each other
-test test-slow test-haswell test-bounds test-processors test-libraries test-lowest quick: export OPENBLAS_NUM_THREADS = 1
-test test-slow test-haswell test-bounds test-processors test-libraries test-lowest quick: export OMP_NUM_THREADS = 1
+test test-slow test-haswell test-bounds test-processors test-libraries test-lowest test-zoo quick: export OPENBLAS_NUM_THREADS = 1
+test test-slow test-haswell test-bounds test-processors test-libraries test-lowest test-zoo quick: export OMP_NUM_THREADS = 1
 PYTEST := $(BIN)/pytest --numprocesses 2 --dist worksteal
 
 # make test TESTS=tests/envs runs a part
@@ -46,7 +46,7 @@ test: setup
 # as another processor rounds them (test-processors has more processors, and other seeds), other libraries and versions
 test-slow: setup kernels
 	$(PYTEST) -m slow $(TESTS)
-	$(MAKE) --jobs=2 --output-sync=target test-haswell test-bounds test-libraries test-lowest
+	$(MAKE) --jobs=2 --output-sync=target test-haswell test-bounds test-libraries test-lowest test-zoo
 
 test-haswell: setup
 	$(BIN)/python tests/processors.py --only haswell
@@ -80,10 +80,11 @@ test-python-%:
 	.venv-$*/bin/python -m probe_env.compile_kernels
 	.venv-$*/bin/pytest --numprocesses 2 --dist worksteal -ra
 
-# environments of their own, pinned by tests/NAME/constraints.txt: RLlib, other libraries, and the lowest versions accepted
-APART := ray libraries lowest
+# environments of their own, pinned by tests/NAME/constraints.txt: RLlib, other libraries, the lowest versions, RL Zoo
+APART := ray libraries lowest zoo
 NEEDS_ray := '.[agents,dev,ray]'
 NEEDS_libraries := . pytest 'minari[create,hdf5]' skrl tianshou torchrl
+NEEDS_zoo := '.[agents]' pytest rl_zoo3
 NEEDS_lowest := '.[agents,app,commands,plant]' pytest
 # numba keeps the kernels of one of its versions
 test-lowest: export NUMBA_CACHE_DIR = $(CURDIR)/.venv-lowest/kernels
