@@ -67,6 +67,20 @@ def curve(fidelity: str, seeds: tuple[int, ...], steps: tuple[int, ...], folder:
     return table.merge(rows, how="left", on="policy")
 
 
+def table() -> str:
+    """The README's table of the recipe in the surrogate, from the stored curve."""
+    rows = pd.read_csv(FOLDER / "surrogate.csv")
+    rivals, trained = rows[rows["seed"].isna()].set_index("policy")["reward"], rows[rows["seed"].notna()]
+    lines = ["| steps | training [s] | reward, mean of five seeds | lowest and highest seed |", "|---:|---:|---:|---:|"]
+    for steps, seeds in trained.groupby("steps"):
+        reward, seconds = seeds["reward"], seeds["seconds"].median()
+        lines.append(
+            f"| {steps:,.0f} | {seconds:.0f} | {reward.mean():.1f} | {reward.min():.1f} to {reward.max():.1f} |"
+        )
+    others = ", ".join(f"`{name}` {rivals[name]:.1f}" for name in RIVALS)
+    return "\n".join([*lines, "", f"In the same {TUBES} tubes: {others}."])
+
+
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("fidelity", choices=("surrogate", "fast"))

@@ -30,7 +30,7 @@ def test_the_python_examples_run(page, example, monkeypatch, tmp_path):
 
 def test_the_figures_of_the_readme_are_the_stored_ones(monkeypatch):
     monkeypatch.chdir(ROOT)
-    for script, function in (("readme_table.py", "table"), ("speed.py", "row")):
+    for script, function in (("readme_table.py", "table"), ("speed.py", "row"), ("learning.py", "table")):
         assert runpy.run_path(str(ROOT / "docs" / script))[function]() in PAGES["README.md"]
 
 
