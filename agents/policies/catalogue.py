@@ -84,7 +84,7 @@ def _is_file(spec: str) -> bool:
 
 def is_schedule_file(argument: str) -> bool:
     """Whether a policy argument is a schedule file of the user."""
-    return bool(user_policies([argument])) and name_and_spec(argument)[1].endswith((".csv", ".toml"))
+    return bool(user_policies([argument])) and name_and_spec(argument)[1].endswith(SCHEDULES)
 
 
 def user_policies(specs: Sequence[str]) -> list[str]:
