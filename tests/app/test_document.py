@@ -12,6 +12,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from bokeh.core.validation import check_integrity
 from bokeh.document import Document
 from bokeh.events import ButtonClick
 
@@ -53,6 +54,7 @@ def test_every_screen_is_built_for_an_own_tube(app):
         page.chosen.active = number
         page.tick()
         assert [screen.layout.visible for screen in page.screens].count(True) == 1
+        assert check_integrity(document.models).warning == []
     text = json.dumps(document.to_json(), default=repr)
     assert "http" not in text.replace("http://www.w3.org", "")  # no request to another host
     assert "whether the cable" in page.tube.inputs["contact.cable"].description.content.html.lower()

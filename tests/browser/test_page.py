@@ -290,7 +290,8 @@ def test_every_screen_fits_and_its_picture_is_taken(browser, tmp_path, width):
                 page.get_by_text("Radial rms of the sensor in this time").wait_for()
                 page.wait_for_timeout(1500)  # of slow motion
             if title == "compare":
-                page.frame_locator("iframe").get_by_text("Feed policies compared").wait_for()
+                page.frame_locator("iframe").locator("canvas").first.wait_for()
+                page.wait_for_timeout(2000)  # until the report is painted
             if title == "manual":
                 page.get_by_text("8 ×", exact=True).click()
                 page.get_by_role("button", name="Start", exact=True).click()

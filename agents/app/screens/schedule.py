@@ -33,7 +33,7 @@ if (!window.points_timer) copy();
 """
 """Sends points while they are dragged, at most every 20 ms; Bokeh sends them only when they are dropped."""
 MAP_ERROR: Final = (
-    "The map expects too much vibration: the simulation of six schedules (fast, six test tubes) gave up to 16 % more of"
+    "The map expects too much vibration: the simulation of six schedules (fast, six test tubes) gave -1 to +16 % of"
     " the length within the limit, and a reward 6 to 31 higher. Run the schedule for its own figures."
 )
 INTRO: Final = (

@@ -39,6 +39,7 @@ code { background: #f2f2f2; padding: 1px 4px; overflow-wrap: anywhere; }
 CONTROL_CSS: Final = """
 :host { max-width: 100%; font-size: 14px; } .bk-btn-group { flex-wrap: wrap; }
 label { font-size: 13px; }
+@media (max-width: 500px) { label { font-size: 12px; } }
 .bk-input, .bk-btn { font-size: 15px; min-height: 34px; }
 .bk-btn:focus-visible, .bk-input:focus-visible { outline: 3px solid #0072B2; outline-offset: 1px; }
 """
