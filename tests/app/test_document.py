@@ -69,7 +69,14 @@ def test_an_update_waits_until_the_browser_has_drawn_the_last_one(app, monkeypat
     """Changes meanwhile are in the next one; it waits for ``PATIENCE`` at most."""
     page, updates = Page(app), []
     page.add_to(Document())
-    monkeypatch.setattr(page.screens[page.chosen.active], "refresh", lambda: updates.append(app.queue.changes))
+    problems = []
+
+    def refresh():
+        if problems:
+            raise problems.pop()
+        updates.append(app.queue.changes)
+
+    monkeypatch.setattr(page.screens[page.chosen.active], "refresh", refresh)
 
     def change(changes):
         monkeypatch.setattr(app.queue, "changes", changes, raising=False)
@@ -87,15 +94,22 @@ def test_an_update_waits_until_the_browser_has_drawn_the_last_one(app, monkeypat
     page.painted.value = page.sent.value
     page.tick()
     assert updates == [0, 2]  # nothing has changed
+    problems.append(OSError("gone"))
+    with pytest.raises(OSError, match="gone"):
+        change(2.5)
+    page.tick()
+    assert updates == [0, 2, 2.5]  # not lost
+    page.painted.value = page.sent.value
+    page.tick()
     page.painted.value = 0  # a browser that does not answer
     page._sent_at -= PATIENCE
     change(3)
-    assert updates == [0, 2, 3]
+    assert updates == [0, 2, 2.5, 3]
     page.session.run = Run(RunRequest(policies=(), output=app.output), "running")
     for state, changes in (("running", 4), ("running", 5), ("finished", 6), ("finished", 7)):
         page.session.run.state = state
         change(changes)
-    assert updates == [0, 2, 3, 4, 6]  # begin and end of a run are shown at once
+    assert updates == [0, 2, 2.5, 3, 4, 6]  # begin and end of a run are shown at once
 
 
 def test_charts_around_the_tube_are_drawn_less_often_while_the_probe_moves(app, monkeypatch):
