@@ -20,7 +20,7 @@ from agents.evaluation.kpis import CORE, KPIS
 from agents.evaluation.plan import COLUMNS, run_plan
 from agents.evaluation.profiles import downloads
 from agents.evaluation.report import compare_with_best, limit_of, oracle_policies, write_report
-from agents.evaluation.run import evaluate_plan
+from agents.evaluation.run import evaluate_plan, print_summary
 from agents.evaluation.statistics import grouped, ranking
 from agents.policies.catalogue import named_policies
 from agents.policies.fixed import PI, Constant, Scheduled
@@ -326,6 +326,14 @@ def test_the_page_names_passes_and_strained_cables(stored):
     facts = report._facts(replace(done, setting=done.setting.model_copy(update=both)))
     assert facts["passes"] == "in and back; scored is the withdrawal"
     assert (facts["simulated with"], facts["insertions"]) == ("fast", "12, of 2 policies in the same 3 tubes")
+
+
+def test_insertions_that_ran_out_of_time_are_counted(stored, capsys):
+    table = pd.read_parquet(stored / "episodes.parquet")
+    table.loc[table["policy"] == "feed 1", ["complete", "lost_drive"]] = 0.0
+    table.loc[(table["policy"] == "feed 1") & (table["context"] > 0), "lost_drive"] = 1.0
+    print_summary(table, "feed 0")
+    assert "feed 1: 0 of 6 complete, 4 lost drive, 2 out of time\n" in capsys.readouterr().out
 
 
 def test_no_interval_is_claimed_for_one_tube(tmp_path, capsys):
