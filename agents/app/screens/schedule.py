@@ -252,8 +252,8 @@ class ScheduleScreen(ui.Screen):
         self._show_opened()
 
     def _show_opened(self) -> None:
-        self.kind.value = self.session.interpolation
         self.save.set(self.session.name)
+        self.kind.value = self.session.interpolation
         self._put(self.session.points)
 
     def _save(self, name: str, replace: bool) -> None:
