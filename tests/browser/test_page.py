@@ -221,7 +221,7 @@ def test_after_a_killed_server_finished_runs_are_listed_and_others_resume(browse
 def test_files_of_the_computer_are_opened_and_downloaded(page, tmp_path):
     text = "# interpolation: steps\ninserted_length_m,feed_speed_m_per_s,air_supply_m3_per_h\n5.0,0.125,75.0\n"
     (tmp_path / "chosen.csv").write_text(text)
-    page.get_by_label("from this computer", exact=True).locator("visible=true").set_input_files(tmp_path / "chosen.csv")
+    page.locator("input[accept='.csv,.toml']").set_input_files(tmp_path / "chosen.csv")
     page.wait_for_function(f"Bokeh.documents[0].get_model_by_name('points').data.{FEED}[0] == 0.125")
     with page.expect_download() as download:
         page.get_by_role("button", name="download").locator("visible=true").click()
@@ -229,7 +229,7 @@ def test_files_of_the_computer_are_opened_and_downloaded(page, tmp_path):
     assert Path(download.value.path()).read_text() == text
     screen(page, 1)
     (tmp_path / "plant.toml").write_text("[tube]\ninner_diameter = 0.0231\nhelix_length = 7.0\n")
-    page.get_by_label("from this computer", exact=True).locator("visible=true").set_input_files(tmp_path / "plant.toml")
+    page.locator("input[accept='.toml']").set_input_files(tmp_path / "plant.toml")
     page.get_by_text("uploads/").first.wait_for()
     assert page.get_by_label("inner diameter [mm]", exact=True).input_value() == "23.1"
     with page.expect_download() as download:
