@@ -221,7 +221,7 @@ def test_after_a_killed_server_finished_runs_are_listed_and_others_resume(browse
 def test_files_of_the_computer_are_opened_and_downloaded(page, tmp_path):
     text = "# interpolation: steps\ninserted_length_m,feed_speed_m_per_s,air_supply_m3_per_h\n5.0,0.125,75.0\n"
     (tmp_path / "chosen.csv").write_text(text)
-    page.locator("input[accept='.csv,.toml']").set_input_files(tmp_path / "chosen.csv")
+    page.locator("input[accept='.csv,.toml,.xlsx']").set_input_files(tmp_path / "chosen.csv")
     page.wait_for_function(f"Bokeh.documents[0].get_model_by_name('points').data.{FEED}[0] == 0.125")
     with page.expect_download() as download:
         page.get_by_role("button", name="download").locator("visible=true").click()
