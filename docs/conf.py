@@ -36,6 +36,7 @@ python_display_short_literal_types = True
 
 # it opens from disk and asks nothing from outside: no fonts, no scripts, no search summaries by request
 html_theme = "furo"
+html_static_path = html_css_files = ["site.css"]
 html_show_copyright = False
 html_show_search_summary = False
 html_copy_source = False

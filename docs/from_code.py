@@ -94,6 +94,9 @@ def _kind(annotation: Any) -> str:
         return ", ".join(f"`{choice}`" for choice in choices)
     if inspect.isclass(annotation) and not choices:
         return f"`{annotation.__name__}`"
+    above = re.search(r"Optional\[.*Annotated\[(\w+), .*Gt\(gt=(.+?)\)", str(annotation))
+    if above:
+        return f"`{above[1]}` above {above[2]}, or `None`"
     return f"`{annotation}`".replace("typing.", "").replace("|", "or")
 
 

@@ -47,8 +47,10 @@ class Field:
     description: str
     kind: Kind
     default: str  # text of the default
-    range: Range | None  # accepted range
+    range: Range | None  # accepted range, SI units
     choices: tuple[str, ...] = ()
+    unit: str = ""  # displayed unit
+    factor: float = 1.0  # displayed value / SI value
 
     @property
     def path(self) -> str:
@@ -58,12 +60,13 @@ class Field:
     @property
     def title(self) -> str:
         """Name and unit."""
-        return self.name.replace("_", " ") + (f" [{self.range.unit}]" if self.range and self.range.unit else "")
+        return self.name.replace("_", " ") + (f" [{self.unit}]" if self.unit else "")
 
     @property
     def hint(self) -> str:
         """Help text."""
-        accepted = f"accepted: {self.range.low:g} to {self.range.high:g} {self.range.unit}" if self.range else ""
+        ends = (self.range.low * self.factor, self.range.high * self.factor) if self.range else ()
+        accepted = f"accepted: {' to '.join(f'{end:g}' for end in ends)} {self.unit}" if ends else ""
         return "; ".join(filter(None, (self.description, accepted.strip(), HINTS.get(self.kind)))) or self.title
 
 
@@ -91,9 +94,22 @@ def text_of(value: Any) -> str:
     return ", ".join(map(str, value)) if isinstance(value, list | tuple) else str(value)
 
 
+def scaled(value: Any, factor: float) -> Any:
+    """Numbers of a value in another unit."""
+    if isinstance(value, Mapping):
+        return {name: scaled(number, factor) for name, number in value.items()}
+    if isinstance(value, list | tuple):
+        return [scaled(number, factor) for number in value]
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    return float(f"{value * factor:.12g}") if number and factor != 1.0 else value
+
+
 def value_of(field: Field, text: str) -> Any:
-    """Value of a text; text that is not a number is returned unchanged, and the model refuses it."""
-    text = text.strip()
+    """Value of a text, SI units; text that is not a number is returned unchanged, and the model refuses it."""
+    return scaled(_parsed(field, text.strip()), 1.0 / field.factor)
+
+
+def _parsed(field: Field, text: str) -> Any:
     if field.kind == "choice":
         return BOOLEANS.get(text, text) if field.choices == tuple(BOOLEANS) else text
     sign = next((sign for sign in SIGNS if sign in text), None)
@@ -122,11 +138,18 @@ def _field(table: str, name: str, model: type[Model]) -> Field:
     if default is None and table in ("feed", "air"):
         default = getattr(TaskConfig(), name, None)  # the task's
     description = " ".join((info.description or "").replace("`", "").split())
-    if isinstance(default, tuple):
+    accepted = range_of(model, name)
+    unit, factor = accepted.unit if accepted else "", 1.0
+    if accepted and unit == "m3/s":
+        unit, factor = "m³/h", 3600.0
+    elif accepted and unit == "m" and accepted.high <= 1.0:
+        unit, factor = "mm", 1e3
+    default = scaled(default, factor)
+    if isinstance(default, tuple | list):
         text = " to ".join(f"{value:.4g}" for value in default)
     else:
         text = f"{default:.6g}" if isinstance(default, float) else text_of(default)
-    return Field(table, name, description, kind, text, range_of(model, name), choices)
+    return Field(table, name, description, kind, text, accepted, choices, unit, factor)
 
 
 def _kind(annotation: Any) -> tuple[Kind, tuple[str, ...]]:
@@ -201,7 +224,12 @@ class TubeForm:
 
     def text(self, field: Field) -> str:
         """Text of a field; empty: not in the file."""
-        return text_of(self.tables.get(field.table, {}).get(field.name))
+        return text_of(scaled(self.tables.get(field.table, {}).get(field.name), field.factor))
+
+    @property
+    def toml(self) -> str:
+        """Text of the file with the changes."""
+        return tomli_w.dumps(self.tables)
 
     @property
     def posterior(self) -> str:

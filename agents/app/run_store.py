@@ -36,7 +36,15 @@ def stored_runs(folder: Path) -> list[StoredRun]:
 def stored_run(folder: Path) -> StoredRun:
     """One stored evaluation."""
     files = (folder / "episodes.parquet", folder / UNFINISHED, episodes_of(folder).path)
-    return _read_run(folder, tuple(path.stat().st_mtime_ns if path.exists() else 0 for path in files))
+    return _read_run(folder, tuple(_modified(path) for path in files))
+
+
+def _modified(path: Path) -> int:
+    """Modification time [ns]; 0: no such file, perhaps since a moment ago, when a run ended."""
+    try:
+        return path.stat().st_mtime_ns
+    except FileNotFoundError:
+        return 0
 
 
 @lru_cache(maxsize=4096)

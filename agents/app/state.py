@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import base64
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Any
 
 from agents.app.forms import TubeForm, check_target
@@ -54,6 +56,13 @@ class Session:
         except ValueError as error:
             raise FileError(path, str(error)) from error
         self.name = name_of(path)
+
+    def store_upload(self, filename: str, content: str) -> Path:
+        """Store a file that the browser has sent, in base64; other contents of the same name are another file."""
+        folder = self.app.output / "uploads" / hashlib.sha256(content.encode()).hexdigest()[:6]
+        path = folder / checked_name(PurePath(filename).name, "file")
+        write_atomically(path, base64.b64decode(content))
+        return path
 
     def save_tube(self, name: str, replace: bool) -> Path:
         """Write the tube file, see ``TubeForm.save``; the app's folder for them is ``tubes/``."""

@@ -19,7 +19,8 @@ Policies = Annotated[tuple[str, ...], tyro.conf.arg(metavar="[POLICY ...]")]
 class Evaluate:
     """Evaluate policies on the same tubes: KPIs with intervals, paired differences, a table and a report.
 
-    The folder of a stored or interrupted evaluation as the only argument writes its report again.
+    The folder of a stored or interrupted evaluation as the only argument writes its report again. A schedule file as
+    the only argument is compared with best-schedule.
 
     Example: probe-env evaluate ppo pi my-schedule.csv --limit 6 --fidelity fast
     """
@@ -60,6 +61,8 @@ class Evaluate:
         """Run what is missing, print, write the report; of a stored evaluation the report alone."""
         from agents.evaluation.folder import is_evaluation
         from agents.evaluation.run import evaluate, report_again
+        from agents.evaluation.statistics import BAR
+        from agents.policies.catalogue import is_schedule_file
         from agents.terminal.fidelities import parse_fidelity
 
         folder = Path(self.policies[0]) if len(self.policies) == 1 else Path()
@@ -68,6 +71,9 @@ class Evaluate:
             print_line(f"written: {report_again(folder, self.against)}")
             return
         arguments: dict[str, Any] = vars(self) | {"fidelity": parse_fidelity(self.fidelity)}
+        if len(self.policies) == 1 and is_schedule_file(self.policies[0]) and not self.strict:
+            print(f"{BAR} is added for comparison")
+            arguments |= {"policies": (*self.policies, BAR), "against": self.against or BAR}
         evaluate(**arguments)
 
 

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from itertools import cycle
 from pathlib import Path
+from typing import Any
 
 import matplotlib.pyplot as plt
 import pandas as pd
 
-from agents.records.drawing import GREY, GRID, MM, colours, escape_dollars, save
+from agents.records.drawing import GREY, GRID, MM, escape_dollars, policy_colours, save
 
 
 def trade_off(summary: pd.DataFrame, path: Path) -> Path:
     """Share of the length out of the limit over inspection time, with both intervals, one point per policy."""
     figure, axis = plt.subplots(figsize=(9, 5), layout="constrained")
-    rows = summary.set_index(["policy", "kpi"])
-    for colour, policy in zip(cycle(colours()), dict.fromkeys(summary["policy"]), strict=False):
+    rows: Any = summary.set_index(["policy", "kpi"])
+    for policy, colour in policy_colours(summary["policy"]).items():
         time, share = rows.loc[(policy, "inspection_time_s")], rows.loc[(policy, "share_within_limit")]
         x, y = time["mean"], 100.0 * (1.0 - share["mean"])
         across = [[x - time["low"]], [time["high"] - x]]
@@ -36,7 +36,7 @@ def policy_profiles(profile: pd.DataFrame, path: Path, limit_mm: float | None) -
         ("air_supply_rate", 3600.0, "air [m3/h]"),
         ("radial_rms_m", MM, "radial rms [mm]"),
     )
-    for colour, policy in zip(cycle(colours()), dict.fromkeys(profile["policy"]), strict=False):
+    for policy, colour in policy_colours(profile["policy"]).items():
         groups = binned[binned["policy"] == policy].groupby("bin")
         for axis, (name, factor, label) in zip(axes, fields, strict=True):
             mean = groups[name].mean() * factor
@@ -57,8 +57,9 @@ def policy_profiles(profile: pd.DataFrame, path: Path, limit_mm: float | None) -
 def curves(bands: pd.DataFrame, path: Path) -> Path:
     """Probability of detection over the depth of a flaw, one curve per policy, with 95 % bands over the tubes."""
     figure, axis = plt.subplots(figsize=(8, 5), layout="constrained")
-    for (policy, part), colour in zip(bands.groupby("policy", sort=False), cycle(colours()), strict=False):
-        axis.plot(part["depth_percent_wall"], part["pod"], color=colour, label=escape_dollars(str(policy)))
+    for policy, colour in policy_colours(bands["policy"]).items():
+        part = bands[bands["policy"] == policy]
+        axis.plot(part["depth_percent_wall"], part["pod"], color=colour, label=escape_dollars(policy))
         axis.fill_between(part["depth_percent_wall"], part["low"], part["high"], color=colour, alpha=0.15, linewidth=0)
     axis.axhline(0.9, color=GREY, linewidth=0.8, linestyle=":")
     axis.set(xscale="log", ylim=(0.0, 1.0), xlabel="depth [% of the wall]", ylabel="probability of detection")

@@ -42,7 +42,7 @@ OVER_TUBES: Final[Kpis] = {"a90_95_percent_wall": ("a90/95", 1.0, "% wall")}
 """Figures of a policy over all tubes together, not means."""
 OF_DESIGNS: Final[Kpis] = {
     **{name: KPIS[name] for name in ("reward", "radial_rms_m", "share_within_limit", "inspection_time_s")},
-    "inspected_m": ("inspected", 1.0, "m"),
+    "inspected_m": ("inspected in a whole insertion", 1.0, "m"),
     "drive_margin_n": ("drive margin", 1.0, "N"),
     **{name: DETECTION[name] for name in ("a90_percent_wall", "length_with_snr_over_3_m")},
 }

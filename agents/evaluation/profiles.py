@@ -10,10 +10,9 @@ from urllib.parse import quote
 
 import numpy as np
 import pandas as pd
-from matplotlib.colors import to_hex
 
 from agents.evaluation.statistics import ranking
-from agents.records.drawing import colours
+from agents.records.drawing import policy_colours
 from probe_env.schedule import WITHDRAWAL, Schedule
 
 Description = Mapping[str, Any]
@@ -37,7 +36,7 @@ def traces(
         visible: policies whose traces are visible when the page opens.
         limit_mm: limit of the radial rms [mm]; None: the limit is of another measure.
     """
-    order = list(dict.fromkeys(table["policy"]))  # the colours of the other pictures
+    colours = policy_colours(table["policy"])
     first = profile[["policy", "context", "seed", "training_seed"]].drop_duplicates()
     first = first.sort_values(["training_seed", "seed"], kind="stable").drop_duplicates(["policy", "context"])
     metres = profile.merge(first).dropna(subset=["inserted_length"])
@@ -53,7 +52,6 @@ def traces(
     }
     tubes: list[dict[Any, Any]] = table.drop_duplicates("context").sort_values("context").to_dict("records")
     worst = table.loc[table.groupby("policy")["reward"].idxmin()].set_index("policy")["context"].to_dict()
-    palette = [to_hex(colour) for colour in colours()]
     label = "helix {helix_diameter:g} m, friction {friction:.3f}"
     return {
         "metres": grid,
@@ -65,7 +63,7 @@ def traces(
         "policies": [
             {
                 "name": policy,
-                "colour": palette[order.index(policy) % len(palette)],
+                "colour": colours[policy],
                 "shown": policy in visible,
                 "worst": worst[policy],
                 "tubes": [columns.get((policy, tube["context"]), []) for tube in tubes],

@@ -16,7 +16,7 @@ from markupsafe import Markup
 
 from agents.evaluation import figures
 from agents.evaluation.folder import Evaluation, read_evaluation
-from agents.evaluation.kpis import KPIS, OVER_TUBES, SCORED_PASSES, displayed_kpis, label_of
+from agents.evaluation.kpis import SCORED_PASSES, displayed_kpis, label_of
 from agents.evaluation.profiles import Description, downloads, inner_policy, traces
 from agents.evaluation.statistics import (
     Interval,
@@ -63,6 +63,10 @@ MOST_DIAMETERS: Final = 12
 """Number of helix diameters beyond which there is no table by diameter."""
 DRAWN_AT_FIRST: Final = 4
 """Policies whose traces are visible when the page opens."""
+RANKED: Final = (
+    "reward", "inspection_time_s", "share_within_limit", "inspected_share", "air_m3", "a90_percent_wall"
+)  # fmt: skip
+"""KPIs in the ranking; the others are in a second table, so that both fit on A4."""
 
 
 def write_report(folder: Path) -> Path:
@@ -95,6 +99,7 @@ def _content(done: Evaluation, summary: pd.DataFrame) -> dict[str, Any]:
     subjects = done.user_policies or (done.against,)
     comparisons = [compare_with_best(table, policy, oracles, limit_of(task)) for policy in subjects]
     best = [name for name in order if name not in oracles]
+    ranked_table, more_figures = ranked(table, summary, done.user_policies, oracles)
     visible = list(dict.fromkeys([*(v.policy for v in comparisons), *best[:2], done.against, *best]))[:DRAWN_AT_FIRST]
     return {
         "title": "Feed policies compared",
@@ -102,7 +107,8 @@ def _content(done: Evaluation, summary: pd.DataFrame) -> dict[str, Any]:
         "comparisons": comparisons,
         "own": {name: f"Your {'schedule' if kinds.get(name) else 'policy'}" for name in done.user_policies},
         "facts": _facts(done),
-        "ranked": ranked(table, summary, done.user_policies, oracles),
+        "ranked": ranked_table,
+        "more_figures": more_figures,
         "oracles": [name for name in order if name in oracles],
         "strain_lines": strain_lines(table),
         "comparison_lines": comparison_lines(table, done.against),
@@ -187,10 +193,11 @@ def limit_of(task: TaskConfig) -> str:
 
 
 class Comparison(NamedTuple):
-    """A policy compared with the best other one: a headline and the means."""
+    """A policy compared with the best other one: better, worse or neither; differences; means."""
 
     policy: str
     headline: str
+    figures: str
     detail: str
 
 
@@ -209,25 +216,23 @@ def compare_with_best(table: pd.DataFrame, policy: str, oracles: Collection[str]
     over = f"over {tubes} tube{'s' if tubes != 1 else ''}"
     time, share = _time_and_share(table, policy)
     if other is None:
-        headline = f"{time}, {share} of the length within {limit}{_not_complete(table, policy)}."
-        return Comparison(policy, headline, f"Means {over}; no other policy to compare with.")
+        figures = f"{time}, {share} of the length within {limit}{_not_complete(table, policy)}."
+        return Comparison(policy, "no other policy to compare with.", figures, f"Means {over}.")
     reward, *others = (paired_difference(table, policy, other, kpi) for kpi in
                        ("reward", "inspection_time_s", "share_within_limit"))  # fmt: skip
     unclear = reward.low <= 0.0 <= reward.high
-    result = "not clearly different from" if unclear else "better than" if reward.mean > 0.0 else "worse than"
+    result = "no clear difference from" if unclear else "better than" if reward.mean > 0.0 else "worse than"
     longer, more = (_signed(*each) for each in zip(others, (1.0, 100.0), (" s", " %"), strict=True))
     failed = _not_complete(table, policy) + _not_complete(table, other, other)
-    headline = (
-        f"{result} the {'next ' if order[0] == policy else ''}best here, {other}: reward {_signed(reward)},"
-        f" time {longer}, length within {limit} {more}{failed}."
-    )
+    headline = f"{result} the {'next ' if order[0] == policy else ''}best here, {other}."
+    figures = f"Reward {_signed(reward)}, time {longer}, length within {limit} {more}{failed}."
     other_time, other_share = _time_and_share(table, other)
     basis = f"Differences {over}, without an interval"
     if tubes > 1:
         few = ", too few for exact intervals" if tubes < FEW_TUBES else ""
         basis = f"Paired differences with 95 % bootstrap intervals {over}{few}"
     detail = f"{time} against {other_time}; {share} of the length within {limit} against {other_share}. {basis}."
-    return Comparison(policy, headline, detail)
+    return Comparison(policy, headline, figures, detail)
 
 
 def _time_and_share(part: pd.DataFrame, policy: str) -> tuple[str, str]:
@@ -268,29 +273,34 @@ Table = tuple[list[str], list[Row]]
 """Header and rows."""
 
 
-def ranked(table: pd.DataFrame, summary: pd.DataFrame, users: Collection[str], oracles: Collection[str]) -> Table:
-    """One row per policy, best first: KPIs with intervals, reward against the best, and how episodes ended."""
+def ranked(
+    table: pd.DataFrame, summary: pd.DataFrame, users: Collection[str], oracles: Collection[str]
+) -> tuple[Table, Table]:
+    """Two tables with a row per policy, best first: the ranking by reward, and the other KPIs; with intervals."""
     values: dict[tuple[str, str], dict[Any, Any]] = {(r["policy"], r["kpi"]): r for r in summary.to_dict("records")}
-    rows, ends, order = [], dict(endings(table).iterrows()), ranking(table)
+    ranking_rows, more_rows, ends, order = [], [], dict(endings(table).iterrows()), ranking(table)
     best = next((name for name in order if name not in oracles), order[0])
+    labels = displayed_kpis(table.columns)
     for policy in order:
-        cells = []
-        for kpi, (_, factor, _) in displayed_kpis(table.columns).items():
+        cells = {}
+        for kpi, (_, factor, _) in labels.items():
             row = values[policy, kpi]
-            cells.append(_with_ends(row["mean"] * factor, row["low"] * factor, row["high"] * factor))
+            cells[kpi] = _with_ends(row["mean"] * factor, row["low"] * factor, row["high"] * factor)
         against = Cell("best")
         if policy != best:
             difference = paired_difference(table, policy, best, "reward")
             against = _with_ends(difference.mean, difference.low, difference.high, "+")
             if difference.low < 0.0 < difference.high:
                 against = against._replace(text=f"{against.text} (unclear)")
-        cells.insert(1, against)  # the first is the reward
         complete, _, reasons = ended(ends[policy]).partition(", ")
+        reward, *main = (cells.pop(kpi) for kpi in RANKED if kpi in labels)
         note = "yours" if policy in users else "oracle" if policy in oracles else ""
-        rows.append(Row(policy, note, (*cells, Cell(complete, reasons))))
-    units = {kpi: f"{name} [{unit}]" if unit else name for kpi, (name, _, unit) in (KPIS | OVER_TUBES).items()}
-    names = [units[kpi] for kpi in displayed_kpis(table.columns)]
-    return ["policy", names[0], f"reward against {best}", *names[1:], "how it ended"], rows
+        ranking_rows.append(Row(policy, note, (reward, against, *main, Cell(complete, reasons))))
+        more_rows.append(Row(policy, note, tuple(cells.values())))
+    names = {kpi: f"{name} [{unit}]" if unit else name for kpi, (name, _, unit) in labels.items()}
+    reward_name, *main_names = (names.pop(kpi) for kpi in RANKED if kpi in labels)
+    header = ["policy", reward_name, f"reward against {best}", *main_names, "how it ended"]
+    return (header, ranking_rows), (["policy", *names.values()], more_rows)
 
 
 def _with_ends(mean: float, low: float, high: float, sign: str = "") -> Cell:

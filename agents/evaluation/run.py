@@ -13,12 +13,12 @@ from pydantic import ValidationError
 from agents.evaluation.folder import ReportSettings, is_evaluation, read_evaluation
 from agents.evaluation.kpis import SCORED_PASSES, displayed_kpis
 from agents.evaluation.plan import Plan, run_plan
+from agents.evaluation.report import ended
 from agents.evaluation.report import write_report as write_report
 from agents.evaluation.statistics import (
     Interval,
     comparison_lines,
     endings,
-    failure_text,
     grouped,
     method_and_seed,
     short,
@@ -185,6 +185,6 @@ def print_summary(table: pd.DataFrame, against: str) -> None:
     title = "Means with 95 % intervals over the contexts" if table["context"].nunique() > 1 else "Means in one tube"
     print_table(title, header, rows)
     for name, row in endings(table).iterrows():
-        print(f"{name}: {row['complete']} of {row['episodes']} complete, {', '.join(failure_text(row))}")
+        print(f"{name}: {ended(row)}")
     for line in (*strain_lines(table), *comparison_lines(table, against)):
         print(line)

@@ -139,13 +139,13 @@ def run_signal(
     for flaw in all_flaws:
         if flaw not in chart.flaws:
             print(f"not passed: the flaw at {flaw.position:g} m; the sensor moved from {first:.2f} to {last:.2f} m")
-    header = ("flaw at [m]", "depth [% wall]", "S/N", "behind the filter", "called")
+    header = ("flaw at [m]", "depth [% wall]", "S/N", "after the filter", "detected")
     rows = [
         (f"{position:g}", f"{depth:g}", f"{snr:.1f}", f"{behind:.1f}", "yes" if called else "no")
         for position, depth, snr, behind, called in chart.table[list(ROWS)].itertuples(index=False)
     ]
     print_table("Flaws", header, rows, left=0)
-    print(f"called: {int(chart.table['called'].sum())} of the {len(chart.table)} flaws passed")
+    print(f"detected: {int(chart.table['called'].sum())} of the {len(chart.table)} flaws that the sensor reached")
     print_line(f"written: {output}/ (strip.png, flaws.png, channels.csv, flaws.csv, periods.csv, signal.json)")
     return chart.table
 

@@ -82,6 +82,11 @@ def _is_file(spec: str) -> bool:
     return path.suffix in (*SCHEDULES, ".json", ".safetensors") and path.exists()
 
 
+def is_schedule_file(argument: str) -> bool:
+    """Whether a policy argument is a schedule file of the user."""
+    return bool(user_policies([argument])) and name_and_spec(argument)[1].endswith(SCHEDULES)
+
+
 def user_policies(specs: Sequence[str]) -> list[str]:
     """Names of the user's policies: classes, and files other than shipped agents."""
     pairs = [(name, spec.removeprefix(PREFIX)) for name, spec in map(name_and_spec, specs)]

@@ -1,7 +1,9 @@
 """The page without a browser: its screens are built, show a run, and load nothing from other hosts."""
 
+import base64
 import json
 import os
+import re
 import time
 from collections import deque
 from html import unescape
@@ -10,6 +12,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from bokeh.core.validation import check_integrity
 from bokeh.document import Document
 from bokeh.events import ButtonClick
 
@@ -21,8 +24,10 @@ from agents.design.compare import cells, read_comparison, summarise
 from agents.evaluation.plan import Plan, RolloutRunner
 from agents.policies.cases import load_case
 from agents.policies.catalogue import named_policies
+from agents.records.drawing import PALETTE, policy_colours
+from probe_env import Plant
 from probe_env.fidelity import resolve_fidelity
-from probe_env.schedule import AIR, FEED
+from probe_env.schedule import AIR, FEED, Schedule
 
 
 def end_process(path):
@@ -49,6 +54,7 @@ def test_every_screen_is_built_for_an_own_tube(app):
         page.chosen.active = number
         page.tick()
         assert [screen.layout.visible for screen in page.screens].count(True) == 1
+        assert check_integrity(document.models).warning == []
     text = json.dumps(document.to_json(), default=repr)
     assert "http" not in text.replace("http://www.w3.org", "")  # no request to another host
     assert "whether the cable" in page.tube.inputs["contact.cable"].description.content.html.lower()
@@ -63,7 +69,14 @@ def test_an_update_waits_until_the_browser_has_drawn_the_last_one(app, monkeypat
     """Changes meanwhile are in the next one; it waits for ``PATIENCE`` at most."""
     page, updates = Page(app), []
     page.add_to(Document())
-    monkeypatch.setattr(page.screens[page.chosen.active], "refresh", lambda: updates.append(app.queue.changes))
+    problems = []
+
+    def refresh():
+        if problems:
+            raise problems.pop()
+        updates.append(app.queue.changes)
+
+    monkeypatch.setattr(page.screens[page.chosen.active], "refresh", refresh)
 
     def change(changes):
         monkeypatch.setattr(app.queue, "changes", changes, raising=False)
@@ -81,15 +94,22 @@ def test_an_update_waits_until_the_browser_has_drawn_the_last_one(app, monkeypat
     page.painted.value = page.sent.value
     page.tick()
     assert updates == [0, 2]  # nothing has changed
+    problems.append(OSError("gone"))
+    with pytest.raises(OSError, match="gone"):
+        change(2.5)
+    page.tick()
+    assert updates == [0, 2, 2.5]  # not lost
+    page.painted.value = page.sent.value
+    page.tick()
     page.painted.value = 0  # a browser that does not answer
     page._sent_at -= PATIENCE
     change(3)
-    assert updates == [0, 2, 3]
+    assert updates == [0, 2, 2.5, 3]
     page.session.run = Run(RunRequest(policies=(), output=app.output), "running")
     for state, changes in (("running", 4), ("running", 5), ("finished", 6), ("finished", 7)):
         page.session.run.state = state
         change(changes)
-    assert updates == [0, 2, 3, 4, 6]  # begin and end of a run are shown at once
+    assert updates == [0, 2, 2.5, 3, 4, 6]  # begin and end of a run are shown at once
 
 
 def test_charts_around_the_tube_are_drawn_less_often_while_the_probe_moves(app, monkeypatch):
@@ -99,7 +119,7 @@ def test_charts_around_the_tube_are_drawn_less_often_while_the_probe_moves(app, 
     runner, page = RolloutRunner(plan, deque(plan.units()), 1, 1), Page(app)
     screen, clock = page.insertion, SimpleNamespace(monotonic=iter((10.0, 10.1, 10.5, 10.55)).__next__)
     monkeypatch.setattr("agents.app.screens.insertion.time", clock)
-    run = page.session.run = Run(RunRequest(policies=(), output=app.output), "running")
+    run = page.session.run = Run(RunRequest(policies=("constant",), output=app.output), "running")
 
     def positions(paused=False):
         """Tips in the tube and in the charts around it after another period."""
@@ -113,6 +133,56 @@ def test_charts_around_the_tube_are_drawn_less_often_while_the_probe_moves(app, 
     assert first[0] == first[1] == second[1] < second[0]
     assert third[0] == third[1] < fourth[0] == fourth[1]
     assert len(screen.charts.source.data["inserted_length"][0]) == 4
+
+
+def test_all_charts_are_of_the_watched_insertion_when_another_one_ends(app, monkeypatch):
+    """The slow one is watched next, though the charts were drawn a moment ago."""
+    case = load_case(Plant(tube={"helix_length": 7.0}), "test", 1)
+    config, names = case.config.full_observation, ["constant", "slow"]
+    plan = Plan(named_policies(names, config), case.contexts, config=config, fidelity=resolve_fidelity("fast"))
+    runner, page = RolloutRunner(plan, deque(plan.units()), 2, 1), Page(app)
+    screen = page.insertion
+    monkeypatch.setattr("agents.app.screens.insertion.time", SimpleNamespace(monotonic=lambda: 10.0))
+    run = page.session.run = Run(RunRequest(policies=tuple(names), output=app.output), "running")
+    for k in (0, 1):
+        while runner.episodes.running[0] or not runner.last:
+            list(runner.step())
+        rows = ((runner.unit(k), np.array([row_of(runner, k)])),)
+        run.update(Frame(tuple(runner.units), k, runner.unit(k), rows, shape_of(runner, k), k, False))
+        screen.refresh()
+        assert f"Probe of {names[k]}, tube 0" in screen.probe.title.text
+        assert f"<b>{names[k]}, tube 0</b>" in screen.status.text
+        assert f"Observation of {names[k]}<" in screen.observation.text
+        length = float(re.search(r"inserted length</td><td>([\d.]+)", screen.observation.text)[1])
+        assert length == pytest.approx(run.trace(runner.unit(k))["inserted_length"][-1], rel=1e-3)
+        assert f"It requests <b>{run.trace(runner.unit(k))['target_feed_speed'][-1]:.3f} m/s" in screen.observation.text
+    assert screen.charts.source.data["colour"] == list(policy_colours(names).values())
+
+
+def test_a_policy_has_one_colour_on_all_screens_and_in_the_report(app):
+    page = Page(app)
+    page.schedule.overlay.value = ["constant", "best-schedule"]
+    colours = dict(zip(page.schedule.lines.data["name"], page.schedule.lines.data["colour"], strict=True))
+    assert colours == {"constant": PALETTE[2], "best-schedule": PALETTE[1]}
+    run = policy_colours(["my-schedule", "best-schedule", "constant"])
+    assert run == colours | {"my-schedule": PALETTE[0]}
+    assert len(set(policy_colours(map(str, range(21))).values())) == 21
+
+
+def test_a_chosen_file_is_stored_and_one_of_other_contents_does_not_replace_it(app):
+    page = Page(app)
+    text = "inserted_length_m,feed_speed_m_per_s,air_supply_m3_per_h\n5,{},60\n"
+    stored = [
+        page.session.store_upload("../mine.csv", base64.b64encode(text.format(feed).encode()).decode())
+        for feed in (0.1, 0.2)
+    ]
+    assert {path.parents[1] for path in stored} == {app.output / "uploads"}
+    page.schedule._take(stored[0], Schedule.read(stored[0]))
+    assert page.session.points == {"inserted_length_m": [5.0], FEED: [0.1], AIR: [60.0]}
+    assert page.session.name == "mine"
+    assert page.schedule.file.text == "# interpolation: linear\n" + text.format(0.1).replace("5,0.1,60", "5.0,0.1,60.0")
+    with pytest.raises(ValueError, match="is not a regular file"):
+        page.session.store_upload("..", "")
 
 
 def test_a_dragged_flaw_stays_within_the_last_second(app):

@@ -84,6 +84,24 @@ def test_the_value_of_a_text():
         assert value_of(FIELDS[path], text_of(value)) == value, path
 
 
+def test_small_lengths_are_in_mm_and_air_is_in_m3_per_h():
+    form = TubeForm()
+    form.open(EXAMPLE)
+    for path, title, shown, typed, value in (
+        ("tube.inner_diameter", "inner diameter [mm]", "23.0", "22.1", 0.0221),
+        ("tube.helix_length", "helix length [m]", "45.0", "30", 30.0),
+        ("air.air_supply_rates", "air supply rates [m³/h]", "30.24, 122.4", "36 to 90", [0.01, 0.025]),
+        ("air.air_supply_step", "air supply step [m³/h]", "5.004", "7.2", 0.002),
+    ):
+        field = FIELDS[path]
+        assert (field.title, form.text(field)) == (title, shown)
+        form.change(field, typed)
+        assert form.tables[field.table][field.name] == value
+    assert "accepted: 5 to 100 mm" in FIELDS["tube.inner_diameter"].hint
+    assert "accepted: 0 to 720 m³/h" in FIELDS["air.air_supply_rates"].hint
+    assert FIELDS["air.air_supply_rates"].default == "30 to 130"
+
+
 def test_a_changed_tube_is_saved_as_a_file_of_the_command(tmp_path):
     form = TubeForm()
     form.open(EXAMPLE)

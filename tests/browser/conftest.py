@@ -20,16 +20,16 @@ LONG = 120_000
 
 
 class App:
-    """A running app: its printed address, the address without its token, and the folder of its runs."""
+    """A running app: its printed address, the address without its token, the folder of its runs, and its own one."""
 
-    def __init__(self, output: Path, tube: Path | None) -> None:
-        self.output, self.tube = output, tube
+    def __init__(self, output: Path, tube: Path | None, folder: Path | None) -> None:
+        self.output, self.tube, self.folder = output, tube, folder
         self.start()
 
     def start(self) -> None:
         command = [sys.executable, "-m", "agents.cli", "app", "--port", "0", "--no-show", "--output", str(self.output)]
         command += [] if self.tube is None else ["--tube", str(self.tube)]
-        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=self.folder)
         line = self.process.stdout.readline()
         self.printed = re.search(r"http://localhost:\d+/\S+", line)[0]
         self.address = self.printed.partition("login")[0]
@@ -41,8 +41,8 @@ class App:
 
 
 @contextmanager
-def served(output: Path, tube: Path | None = None):
-    app = App(output, tube)
+def served(output: Path, tube: Path | None = None, folder: Path | None = None):
+    app = App(output, tube, folder)
     try:
         yield app
     finally:

@@ -38,6 +38,9 @@ def test_every_page_is_built_and_every_link_leads_somewhere(site):
     assert "Episode End" in (site / "environments.html").read_text()
     assert "contact_stiffness" in (site / "api.html").read_text()
     assert "known to hold up to" in (site / "fidelity.html").read_text()
+    assert "FieldInfo" not in (site / "environments.html").read_text()
+    assert "pre { white-space: pre-wrap;" in (site / "_static/site.css").read_text()
+    assert 'href="_static/site.css' in (site / "commands.html").read_text()
 
 
 @pytest.mark.slow

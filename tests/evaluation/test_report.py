@@ -20,7 +20,7 @@ from agents.evaluation.kpis import CORE, KPIS
 from agents.evaluation.plan import COLUMNS, run_plan
 from agents.evaluation.profiles import downloads
 from agents.evaluation.report import compare_with_best, limit_of, oracle_policies, write_report
-from agents.evaluation.run import evaluate_plan
+from agents.evaluation.run import evaluate_plan, print_summary
 from agents.evaluation.statistics import grouped, ranking
 from agents.policies.catalogue import named_policies
 from agents.policies.fixed import PI, Constant, Scheduled
@@ -47,43 +47,48 @@ def table_of(times, shares, rewards, tubes=20, scatter=0.0):
 TIMES, SHARES, REWARDS = {"mine": 361.0, "best": 300.0}, {"mine": 0.9, "best": 0.9}, {"mine": 1.0, "best": 9.0}
 
 
-def headline(table, policy, oracles=(), limit="0.1 mm"):
-    return compare_with_best(table, policy, oracles, limit).headline
+def compare(table, policy, oracles=(), limit="0.1 mm"):
+    return compare_with_best(table, policy, oracles, limit)
+
+
+def headline(*arguments):
+    return compare(*arguments).headline
 
 
 def test_the_verdict_gives_the_differences_to_the_best():
     one = compare_with_best(table_of(TIMES, SHARES | {"mine": 0.85}, REWARDS), "mine", (), "0.1 mm")
-    assert one.headline == "worse than the best here, best: reward -8, time +61 s, length within 0.1 mm -5 %."
+    assert one.headline == "worse than the best here, best."
+    assert one.figures == "Reward -8, time +61 s, length within 0.1 mm -5 %."
     assert "361 s against 300 s; 85 % of the length within 0.1 mm against 90 %" in one.detail
-    best = headline(table_of(TIMES, SHARES, REWARDS), "best")
-    assert best == "better than the next best here, mine: reward +8, time -61 s, length within 0.1 mm 0 %."
-    scattered = headline(table_of(TIMES, SHARES, REWARDS, scatter=0.01), "mine")
+    assert headline(table_of(TIMES, SHARES, REWARDS), "best") == "better than the next best here, mine."
+    scattered = compare(table_of(TIMES, SHARES, REWARDS, scatter=0.01), "mine").figures
     low, high = map(float, re.search(r"time \+\d+ s \[\+(\d+), \+(\d+)\]", scattered).groups())
     assert low < 61.0 < high  # 20 differences of 4.7 s scatter: the mean is within 1.05 s (standard error)
     same = table_of(TIMES | {"mine": 300.0}, SHARES, REWARDS | {"mine": 9.0}, scatter=0.05)
     for policy, rival in ((ranking(same)[1], "best"), (ranking(same)[0], "next best")):
-        assert headline(same, policy).startswith(f"not clearly different from the {rival} here, ")
+        assert headline(same, policy).startswith(f"no clear difference from the {rival} here, ")
     oracle = table_of(TIMES | {"oracle": 200.0}, SHARES | {"oracle": 1.0}, REWARDS | {"oracle": 20.0})
-    assert "the next best here, mine: " in headline(oracle, "best", {"oracle"})
-    assert "the best here, best: " in headline(oracle, "mine", {"oracle"})
+    assert "the next best here, mine." in headline(oracle, "best", {"oracle"})
+    assert "the best here, best." in headline(oracle, "mine", {"oracle"})
 
 
 def test_the_verdict_names_failures_few_tubes_and_a_lack_of_rivals():
     table = table_of(TIMES, SHARES, REWARDS)
     table.loc[[0, 1], ["complete", "lost_drive"]] = 0.0, 1.0
-    assert headline(table, "mine").endswith("; it did not complete 2 of 20 insertions.")
-    assert "; mine did not complete 2 of 20" in headline(table, "best")
+    assert compare(table, "mine").figures.endswith("; it did not complete 2 of 20 insertions.")
+    assert "; mine did not complete 2 of 20" in compare(table, "best").figures
     for tubes, words in ((1, "1 tube, without an interval"), (4, "4 tubes, too few for exact intervals")):
         one = compare_with_best(table_of(TIMES, SHARES, REWARDS, tubes=tubes, scatter=0.05), "mine", (), "0.1 mm")
         assert f"over {words}" in one.detail
-        assert ("[" in one.headline) == ("95 %" in one.detail) == (tubes > 1)
+        assert ("[" in one.figures) == ("95 %" in one.detail) == (tubes > 1)
     for task, words in (
         ({"vibration_limit": 5e-5}, "0.05 mm"),
         ({"vibration_measure": "velocity"}, "5 mm/s"),
         ({"vibration_measure": "acceleration"}, "20 m/s²"),
     ):
-        alone = headline(table[table["policy"] == "best"], "best", (), limit_of(TaskConfig(**task)))
-        assert alone == f"300 s, 90 % of the length within {words}."
+        alone = compare(table[table["policy"] == "best"], "best", (), limit_of(TaskConfig(**task)))
+        assert alone.headline == "no other policy to compare with."
+        assert alone.figures == f"300 s, 90 % of the length within {words}."
 
 
 def test_as_many_episodes_are_compared_as_can_be():
@@ -168,8 +173,10 @@ def page(tmp_path_factory):
 def test_the_page_begins_with_the_verdict(page):
     first = re.search(r"<p[ >].*?</p>", re.sub(r"<style>.*?</style>", "", page, flags=re.DOTALL), re.DOTALL)[0]
     assert 'class="headline">Your schedule <b>my schedule</b>: ' in first
-    ranked = re.search(r'<table class="ranking">.*?</table>', page, re.DOTALL)[0]
-    assert all(f"<th>{name}" in ranked for name, _, _ in KPIS.values())
+    ranked, more = re.findall(r'<table class="ranking">.*?</table>', page, re.DOTALL)
+    for kpi, (name, _, unit) in KPIS.items():
+        head = f"<th>{name} [{unit}]<" if unit else f"<th>{name}<"
+        assert (head in ranked, head in more) == (kpi in report.RANKED, kpi not in report.RANKED), kpi
     for text in ("radial rms of 0.1 mm at the sensor", "bore 24.2 mm, helix 60 m", "By helix diameter", "Tube by tube"):
         assert text in page
 
@@ -286,6 +293,26 @@ def test_the_passes_of_a_tube_are_those_of_its_file_unless_options_say_otherwise
     assert "inspects = 'in' needs --passes both" in capsys.readouterr().err
 
 
+def test_a_lone_schedule_is_compared_with_the_best_one(tmp_path, monkeypatch, capsys):
+    calls, mine = [], tmp_path / "mine.csv"
+    mine.write_text("inserted_length_m,feed_speed_m_per_s,air_supply_m3_per_h\n5,0.2,63\n")
+    monkeypatch.setattr(
+        "agents.evaluation.run.evaluate_plan", lambda plan, out, against, *_: calls.append((plan, against))
+    )
+    options = ["--limit", "1", "--fidelity", "fast"]
+    for policies, against in (
+        ([f"a={mine}"], "best-schedule"),
+        ([f"a={mine}", "--against", "a"], "a"),
+        ([f"a={mine}", "pi"], None),
+        (["pi"], None),
+    ):
+        assert main(["evaluate", *policies, *options]) == 0
+        plan, reference = calls.pop()
+        added = policies[0] != "pi" and "pi" not in policies
+        assert ("best-schedule" in plan.policies, reference) == (added, against)
+        assert ("best-schedule is added for comparison" in capsys.readouterr().out) == added
+
+
 def test_the_page_names_passes_and_strained_cables(stored):
     table = pd.read_parquet(stored / "episodes.parquet")
     table["cost_tension"] = np.where((table["policy"] == "feed 1") & (table["context"] > 0), 3.0, 0.0)
@@ -299,6 +326,14 @@ def test_the_page_names_passes_and_strained_cables(stored):
     facts = report._facts(replace(done, setting=done.setting.model_copy(update=both)))
     assert facts["passes"] == "in and back; scored is the withdrawal"
     assert (facts["simulated with"], facts["insertions"]) == ("fast", "12, of 2 policies in the same 3 tubes")
+
+
+def test_insertions_that_ran_out_of_time_are_counted(stored, capsys):
+    table = pd.read_parquet(stored / "episodes.parquet")
+    table.loc[table["policy"] == "feed 1", ["complete", "lost_drive"]] = 0.0
+    table.loc[(table["policy"] == "feed 1") & (table["context"] > 0), "lost_drive"] = 1.0
+    print_summary(table, "feed 0")
+    assert "feed 1: 0 of 6 complete, 4 lost drive, 2 out of time\n" in capsys.readouterr().out
 
 
 def test_no_interval_is_claimed_for_one_tube(tmp_path, capsys):

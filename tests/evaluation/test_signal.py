@@ -124,7 +124,7 @@ def test_the_command_writes_what_the_rig_would(tmp_path, capsys):
     assert record["found"]["a50_percent_wall"] == pytest.approx(20.0 * record["threshold"] / 7.5, rel=0.02)
     assert {path.name for path in output.iterdir()} >= {"strip.png", "flaws.png"}
     said = capsys.readouterr().out
-    assert "called: 2 of the 3 flaws passed" in said
+    assert "detected: 2 of the 3 flaws that the sensor reached" in said
     assert "not passed: the flaw at 30 m; the sensor moved from 2.50 to 4.5" in said
 
 

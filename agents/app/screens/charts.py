@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from html import escape
 from typing import Any, Final
 
 import numpy as np
@@ -10,6 +11,7 @@ from bokeh import models
 
 from agents.app.runs import ProbeShape, flaw_signal
 from agents.app.screens import widgets as ui
+from agents.evaluation.plan import Unit
 from probe_env.arrays import FloatArray
 from probe_env.envs.pictures.strip import FRAME_PERIOD, Motion
 from probe_env.inspection.sensor import Sensor
@@ -67,17 +69,21 @@ class LengthCharts:
         self.show_limit = ui.limit_line(plots[0])
         self.layout = ui.column(*plots)
 
-    def show(self, lines: Mapping[str, Mapping[str, Any]], limit: float | None, bold: str = "") -> None:
+    def show(
+        self, lines: Mapping[str, Mapping[str, Any]], limit: float | None, names: Sequence[str], bold: str = ""
+    ) -> None:
         """Draw insertions by name.
 
         Args:
             lines: (p,) values of the columns of each, SI units.
             limit: of the radial rms [m].
+            names: all policies of the run, which have the colours of its report.
             bold: name of a thicker line.
         """
         data: dict[str, list[Any]] = {name: [] for name in self.source.data}
-        for number, (name, values) in enumerate(lines.items()):
-            colour, dash = ui.PALETTE[number % len(ui.PALETTE)], ui.DASHES[number % len(ui.DASHES)]
+        styles = ui.line_styles(names)
+        for name, values in lines.items():
+            colour, dash = styles[name]
             line: dict[str, Any] = {"name": name, "colour": colour, "dash": dash}
             line["width"] = 3.0 if name == bold else 1.8
             line["inserted_length"] = values["inserted_length"]
@@ -130,10 +136,12 @@ class UnrolledProbe:
             plots.append(plot)
         blocks = " &nbsp; ".join(f'<span style="color:{colour}">■</span>&nbsp;{text}' for colour, text in CONTACTS)
         legend = f'<p class="quiet">{blocks} &nbsp; <span style="color:{ui.GREEN}">●</span>&nbsp;sensor</p>'
-        self.layout = ui.column(ui.Text(legend), self.tube.plot, *(plots if with_forces else ()))
+        self.title = ui.Text()
+        self.layout = ui.column(self.title, ui.Text(legend), self.tube.plot, *(plots if with_forces else ()))
 
-    def show(self, shape: ProbeShape) -> None:
-        """Draw the last metres of a probe."""
+    def show(self, shape: ProbeShape, unit: Unit) -> None:
+        """Draw the last metres of the probe of an episode."""
+        self.title.text = f"<h2>Probe of {escape(unit[0])}, tube {unit[1]}</h2>"
         centre = (shape.radial + shape.lever) * MM
         self.tube.floats.data = float_columns(shape.position, shape.radial, shape.lever, shape.outer_gap)
         self.cable.data = {"position": shape.position, "centre": centre}

@@ -63,6 +63,7 @@ class CompareScreen(ui.Screen):
         self.session.app.reports.add(folder)
         link = f"{ui.REPORT_URL}?folder={quote(str(folder))}&written={report.stat().st_mtime_ns}"
         self.content.text = (
-            f"<p><a href='{link}' target='_blank'>open the report</a> <code>{escape(str(report))}</code></p>"
+            f"<p><a href='{link}' target='_blank'>open the report</a>, <a href='{link}'"
+            f" download='{escape(folder.name, quote=True)}.html'>download</a> <code>{escape(str(report))}</code></p>"
             f"<iframe {FRAME} src='{link}'></iframe>"
         )

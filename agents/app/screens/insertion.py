@@ -23,6 +23,8 @@ from probe_env.fidelity import PRESETS
 
 CHART_PERIOD: Final = 0.4
 """Shortest time between two updates of the charts of a run [s]."""
+TUBES: Final = 6
+"""Default number of tubes, as in the prediction of a schedule; the interval of one tube is not known."""
 OBSERVATIONS: Final = {
     "inserted_length": ("inserted length", 1.0, "m"),
     "remaining_length": ("remaining length", 1.0, "m"),
@@ -91,6 +93,7 @@ class InsertionScreen(RunScreen):
         self.signal = signal.line([], [], line_width=1.2, color=ui.GREEN).data_source
         self.status, self.observation = ui.Text(name="run-status"), ui.Text()
         self._motion: Motion | None = None
+        self._unit: Unit | None = None  # episode in the charts
         left = ui.column(self.probe.layout, self.slow_motion.layout, signal, self.flaw.layout)
         self.pictures = ui.columns((left, 440, 3), (ui.column(self.charts.layout, self.observation), 330, 2))
         self.pictures.visible = False
@@ -99,7 +102,9 @@ class InsertionScreen(RunScreen):
         check = self.guarded(self._check)
         self.policies = ui.control(models.MultiChoice, "compare with", check, 330, **options)
         self.with_schedule = models.Switch(label="my schedule", active=True)
-        self.limit = ui.control(models.Spinner, "tubes", check, 80, low=1, high=SPLIT_SIZES["test"], step=1, value=1)
+        self.limit = ui.control(
+            models.Spinner, "tubes", check, 80, low=1, high=SPLIT_SIZES["test"], step=1, value=TUBES
+        )
         self.fidelity = ui.control(models.Select, "fidelity", check, 130, options=list(PRESETS), value="fast")
         start = ui.button("Run", self.guarded(self._start), 90, button_type="primary")
         step = ui.button("step", lambda: self.send(Command("step")), 70)
@@ -142,7 +147,9 @@ class InsertionScreen(RunScreen):
         unit, shape = frame.unit, frame.shape
         if unit is None or shape is None:
             return
-        self.probe.show(shape)
+        self.probe.show(shape, unit)
+        if unit != self._unit:  # the next episode is watched: none of its charts may be of the last one
+            self._unit, self.drawn_at = unit, -math.inf
         if not self.charts_due(run):
             return
         self.probe.show_forces(shape)
@@ -150,7 +157,7 @@ class InsertionScreen(RunScreen):
         self.flaw.show(run.info.sensor, shape)
         self.observation.text = _observation(shape.observation, unit, _last(run, unit))
         same_tube = {other[0]: run.trace(other) for other in run.traces if other[1:] == unit[1:]}
-        self.charts.show(same_tube, run.info.limit, unit[0])
+        self.charts.show(same_tube, run.info.limit, run.request.names, unit[0])
 
     def _check(self) -> None:
         ui.check_offered(self.policies, self.limit, self.fidelity)

@@ -75,11 +75,11 @@ class ManualScreen(RunScreen):
         traces = {unit[0]: run.trace(unit) for unit in run.traces}
         lines = "".join(_score(name, traces.get(name)) for name in run.request.names)
         self.score.text = lines + STATES.get(run.state, "") + ui.alert(run.problem)
-        if run.frame is not None and run.frame.shape is not None:
+        if run.frame is not None and run.frame.shape is not None and run.frame.unit is not None:
             self.pictures.visible = True
-            self.probe.show(run.frame.shape)
+            self.probe.show(run.frame.shape, run.frame.unit)
         if self.charts_due(run):
-            self.charts.show(traces, run.info.limit, MANUAL)
+            self.charts.show(traces, run.info.limit, run.request.names, MANUAL)
 
     def _start(self) -> None:
         ui.check_offered(self.rival)

@@ -100,8 +100,8 @@ class Page:
         changes, state = self.session.app.queue.changes, self.session.run.state if self.session.run else ""
         painted = self.painted.value == self.sent.value or time.monotonic() - self._sent_at > PATIENCE
         if changes != self._changes and (painted or state != self._state):
+            self.screens[self.chosen.active or 0].refresh()  # if it fails, the next tick repeats it
             self._changes, self._sent_at, self._state = changes, time.monotonic(), state
-            self.screens[self.chosen.active or 0].refresh()
             self.sent.value = (int(self.sent.value) + 1) % int(self.sent.end)
 
     def _tube_changed(self) -> None:

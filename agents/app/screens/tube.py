@@ -19,6 +19,8 @@ from agents.records.shipped import shipped_names
 from probe_env import Plant
 
 TITLES: Final = {"contact": "Walls", "feed": "Feed device"}
+FOLDED: Final = {"sensor": "the sensor model", "task": "limits, weights and sensors of the task"}
+"""Table that is hidden at first -> its contents."""
 STUDY: Final = "study tubes"
 INTRO: Final = (
     "<h2>Tube and probe</h2><p class='quiet'>An empty field has the value of the study. Runs and predictions"
@@ -40,12 +42,15 @@ class TubeScreen(ui.Screen):
         self.shipped = ui.control(models.Select, "start with", self.guarded(self._select), 160, **choice)
         self.open = ui.control(models.TextInput, "open a tube file", self.guarded(self._open), placeholder="mine.toml")
         self.save = ui.SaveAs(self, self._save, placeholder="mine.toml")
+        choose = ui.upload("from this computer", ".toml", self.open, self)
+        self.file = models.Div()  # the tube file, to download
         calibrated, example = self.guarded(self._calibrate), "calibration.json"
         self.calibration = ui.control(models.TextInput, "calibration", calibrated, placeholder=example)
         tables = ui.column(*(self._table(table, fields) for table, fields in tube_fields().items()))
         self.layout = ui.column(
             ui.Text(INTRO),
-            ui.row(self.shipped, self.open, self.calibration, self.save.name, self.save.button),
+            ui.row(self.shipped, self.open, choose, self.calibration),
+            ui.row(self.save.name, self.save.button, ui.download(self.file, self.save.name, ".toml")),
             self.problem,
             self.summary,
             ui.columns((tables, 430, 3), (section, 300, 2)),
@@ -66,11 +71,10 @@ class TubeScreen(ui.Screen):
     def _table(self, table: str, fields: tuple[Field, ...]) -> Any:
         cells = ui.columns(*((self._cell(field), 190, 1) for field in fields))
         title = ui.Text(f"<h2>{TITLES.get(table, table.capitalize())}</h2>")
-        if table != "task":
+        if table not in FOLDED:
             return ui.column(title, cells)
         cells.visible = False
-        label = "show limits, weights and sensors of the task"
-        more = ui.button(label, lambda: setattr(cells, "visible", not cells.visible), 330)
+        more = ui.button(f"show {FOLDED[table]}", lambda: setattr(cells, "visible", not cells.visible), 330)
         return ui.column(title, more, cells)
 
     def _cell(self, field: Field) -> Any:
@@ -127,6 +131,7 @@ class TubeScreen(ui.Screen):
 
     def _draw(self) -> None:
         tube = self.session.tube
+        self.file.text = tube.toml
         if tube.is_study:
             text = "The study's tubes: the shipped test list, which was not used for tuning."
         else:

@@ -14,12 +14,11 @@ from bokeh.themes import Theme
 
 from agents.app.forms import ReplaceError
 from agents.app.state import Session
+from agents.records.drawing import PALETTE, colours, policy_colours
 from agents.terminal.errors import format_error
 from probe_env.settings import closest, within
 
 REPORT_URL: Final = "/report/"
-PALETTE: Final = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#222222", "#8a8a8a")
-"""Colour-blind safe palette of Okabe and Ito."""
 BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY, INK, GREY = PALETTE
 DASHES: Final = ("solid", "dashed", "dotdash", "dotted", "dashdot", "solid", "dashed", "dotted")
 PAGE_CSS: Final = """
@@ -40,6 +39,7 @@ code { background: #f2f2f2; padding: 1px 4px; overflow-wrap: anywhere; }
 CONTROL_CSS: Final = """
 :host { max-width: 100%; font-size: 14px; } .bk-btn-group { flex-wrap: wrap; }
 label { font-size: 13px; }
+@media (max-width: 500px) { label { font-size: 12px; } }
 .bk-input, .bk-btn { font-size: 15px; min-height: 34px; }
 .bk-btn:focus-visible, .bk-input:focus-visible { outline: 3px solid #0072B2; outline-offset: 1px; }
 """
@@ -60,6 +60,15 @@ THEME: Final = Theme(
         }
     }
 )
+
+
+DOWNLOAD_JS: Final = """
+const link = document.createElement("a");
+link.href = URL.createObjectURL(new Blob([file.text], {type: "text/plain"}));
+link.download = (name.value.split("/").pop() || "mine").replace(/\\.(csv|toml)$/, "") + ending;
+link.click();
+URL.revokeObjectURL(link.href);
+"""
 
 
 class Text:
@@ -186,6 +195,33 @@ class SaveAs:
         except ReplaceError:
             self.button.label = "replace"
             raise
+
+
+def upload(title: str, accept: str, target: models.TextInput, screen: Screen) -> models.FileInput:
+    """A file chooser; the file is stored in the app's folder and its path set in ``target``."""
+    widget = models.FileInput(title=title, accept=accept, width=230)
+
+    def store() -> None:
+        target.value = str(screen.session.store_upload(str(widget.filename), str(widget.value)))
+
+    # in the next tick: the content arrives before the name
+    widget.on_change("value", lambda attr, old, new: widget.document.add_next_tick_callback(screen.guarded(store)))
+    return widget
+
+
+def download(file: models.Div, name: models.TextInput, ending: str) -> Button:
+    """A button that saves the text of a model, which is not displayed, under the name in ``name``."""
+    widget = Button(label="download", width=100)
+    widget.js_on_event(
+        "button_click", models.CustomJS(args={"file": file, "name": name, "ending": ending}, code=DOWNLOAD_JS)
+    )
+    return widget
+
+
+def line_styles(names: Iterable[str]) -> dict[str, tuple[str, str]]:
+    """Colour and dash of the lines of policies, the same on all screens."""
+    order = colours()
+    return {name: (colour, DASHES[order.index(colour) % len(DASHES)]) for name, colour in policy_colours(names).items()}
 
 
 def counter(changed: Callable[[], None] | None = None) -> Any:

@@ -39,11 +39,18 @@
     return [data.metres, ...drawn, ...(field === 2 && data.limit ? [limits()] : [])];
   };
 
+  // of vibration the root of the mean square
+  const mean = (values, power) => {
+    const present = values.filter((value) => value !== null);
+    return present.length ? (present.reduce((sum, value) => sum + value ** power, 0) / present.length) ** (1 / power) : null;
+  };
+
   const read = (metre) => {
     place.textContent = metre === null ? hint : `at ${data.metres[metre]} m`;
     data.policies.forEach((policy, row) => {
       fields.forEach(({ digits }, field) => {
-        const value = metre === null ? null : plots[field].data[row + 1][metre];
+        const values = plots[field].data[row + 1];
+        const value = metre === null ? mean(values, field === 2 ? 2 : 1) : values[metre];
         policy.cells[field].textContent = value === null ? "" : value.toFixed(digits);
       });
     });
@@ -111,6 +118,7 @@
   chooser.addEventListener("change", () => choose(chooser.value));
   const parent = document.getElementById("plots");
   plots = fields.map((_, field) => new uPlot(options(field), columns(field), parent));
+  read(null);
   addEventListener("resize", () => plots.forEach((plot) => plot.setSize({ width: parent.clientWidth, height: 210 })));
   document.querySelectorAll(".tubes tbody th").forEach((head, tube) => {
     head.setAttribute("role", "button");
