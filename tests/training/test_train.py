@@ -5,6 +5,7 @@ An agent of both passes acts on both, and nowhere else.
 
 import json
 import shutil
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -24,6 +25,7 @@ from agents.policies.fixed import Constant
 from agents.policies.view import View
 from agents.policies.wrappers import RoundTripPolicy
 from agents.records.searches import run_lock
+from agents.records.shipped import file_or_shipped
 from agents.training import train as training_module
 from agents.training.config import Training
 from agents.training.train import BEST, CHECKPOINT, CURVE, RUN, VALIDATED, train_all
@@ -401,3 +403,20 @@ def test_the_agent_of_the_best_validation_is_kept(tmp_path, monkeypatch) -> None
         trained = {"seed": 0, "phase": phase, "steps": 64 * phase}
         rows.append(training_module._validate(training, model, plan, 1, rows, trained, tmp_path / BEST))
     assert kept == [0, 1, 4]  # an equal reward does not replace the first
+
+
+@pytest.mark.slow
+def test_the_shipped_training_begins_as_it_did(tmp_path):
+    """Mean magnitudes of the weights after two rollouts; other processors change them by less than 1e-5."""
+    settings = {"seeds": (0,), "pretraining_steps": 4096, "phases": 0, "validation": {"limit": 1, "fidelity": COARSE}}
+    training = Training.from_toml(file_or_shipped("train", Path("ppo"))).model_copy(update=settings)
+    for folder in ("first", "second"):
+        train_all(training, tmp_path / folder, resume=False)
+    assert equal_weights(tmp_path / "first", tmp_path / "second")
+    weights = load_file(tmp_path / "first" / "seed-0" / BEST)
+    means = {
+        "action_net.bias": 0.0051345723, "action_net.weight": 0.010432176, "log_std": 0.0053246887,
+        "mlp_extractor.policy_net.0.bias": 0.0011883397, "mlp_extractor.policy_net.2.bias": 0.00074923009,
+        "mlp_extractor.value_net.0.bias": 0.022127852, "value_net.weight": 0.13789621,
+    }  # fmt: skip
+    assert {name: np.abs(weights[name]).mean() for name in means} == pytest.approx(means, rel=1e-4)
