@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import argparse
 import multiprocessing
-import sys
 import time
 from pathlib import Path
 
@@ -92,6 +91,7 @@ if __name__ == "__main__":
     FOLDER.mkdir(exist_ok=True)
     name = f"{arguments.fidelity}.csv"
     result.to_csv(FOLDER / name, index=False, float_format="%.6g")
-    command = f"python docs/learning.py {' '.join(sys.argv[1:])}"
+    settings = (f"--{name} {' '.join(map(str, getattr(arguments, name)))}" for name in ("seeds", "steps"))
+    command = f"python docs/learning.py {arguments.fidelity} {' '.join(settings)}"
     write_manifest(FOLDER, (name,), command=command, seeds=tuple(arguments.seeds))
     print(result.to_string())
