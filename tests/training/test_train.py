@@ -406,7 +406,7 @@ def test_the_agent_of_the_best_validation_is_kept(tmp_path, monkeypatch) -> None
 
 
 @pytest.mark.slow
-def test_the_shipped_training_begins_as_it_did(tmp_path):
+def test_the_training_file_ppo_gives_the_same_weights_again(tmp_path):
     """Mean magnitudes of the weights after two rollouts; other processors change them by less than 1e-5."""
     settings = {"seeds": (0,), "pretraining_steps": 4096, "phases": 0, "validation": {"limit": 1, "fidelity": COARSE}}
     training = Training.from_toml(file_or_shipped("train", Path("ppo"))).model_copy(update=settings)
