@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from agents.plant.recommendation import is_misspecified, optimal_schedule
+from agents.plant.recommendation import is_misspecified, optimal_schedule, route_air
 from agents.plant.response import stored_response
 from agents.policies import plc_law
 from agents.policies.cases import EvaluationCase, load_case
@@ -63,7 +63,8 @@ def recipe_of(plant: Plant | None) -> Schedule | str:
         return "the calibration of the plant is misspecified: calibrate again"
     case = load_case(plant, "train")
     try:
-        return optimal_schedule(case.contexts, stored_response(), case.config).schedule
+        start_air = route_air(plant, case.contexts)
+        return optimal_schedule(case.contexts, stored_response(), case.config, start_air).schedule
     except ValueError as error:
         return str(error)
 
@@ -166,7 +167,7 @@ def write_law(
     needed, usual = case.config.required_tension, TaskConfig().required_tension
     if needed > usual:
         warnings.warn(
-            f"required_tension = {needed:g} N: the law's least air, {3600.0 * plant.air_supply_rates[0]:.4g} m3/h, is"
+            f"required_tension = {needed:.3g} N: the law's least air, {3600.0 * plant.air_supply_rates[0]:.4g} m3/h, is"
             f" for {usual:g} N and can lose the drive; raise air_supply_rates[0] in [air] of the tube file, or use"
             " shielded:plc-proportional",
             stacklevel=2,

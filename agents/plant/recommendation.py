@@ -112,7 +112,8 @@ def recommend(
         with warnings.catch_warnings():  # check the policies before the search; their warnings follow below
             warnings.simplefilter("ignore")
             plan_of(specs, test_case, 1, confirmation.fidelity)
-    optimum = optimal_schedule(case.contexts, response, case.config)
+    start_air = route_air(plant, case.contexts)
+    optimum = optimal_schedule(case.contexts, response, case.config, start_air)
     write_atomically(output, optimum.schedule.to_csv())
     record = {
         "tube": plant.model_dump(mode="json", exclude={"posterior"}) if plant else None,
@@ -124,7 +125,7 @@ def recommend(
     write_json(output.with_suffix(".json"), record | origin())
     named = [f"{NAME}={output}"]
     if law:
-        feedback = optimal_law(case.contexts, response, case.config)
+        feedback = optimal_law(case.contexts, response, case.config, start_air)
         write_atomically(law, feedback.model_dump_json(indent=1))
         named.append(f"{LAW}={law}")
     seconds = np.trapezoid(1.0 / np.array(optimum.schedule.feed_speed), optimum.schedule.position)
@@ -132,6 +133,11 @@ def recommend(
         f"{output}: in your tubes about {seconds:.0f} s, expected reward {optimum.reward:.1f}"
         f" ({len(case.contexts)} samples); drive safe: root tension above {optimum.tension:.2g} N in {CONFIDENCE:.0%}"
     )
+    if start_air:
+        print_line(
+            f"route: the helix must pull with {case.config.required_tension:.3g} N; before the helix and up to"
+            f" {case.config.lost_drive_from:g} m in it blow at least {3600.0 * start_air:.0f} m3/h"
+        )
     if confirmation:
         print(f"simulated in {len(test_case.contexts)} other samples at {confirmation.fidelity}:")
         plan = plan_of((*named, *specs), test_case, 1, confirmation.fidelity)
@@ -145,8 +151,27 @@ def is_misspecified(plant: Plant | None) -> bool:
     return plant is not None and plant.posterior is not None and plant.posterior.misspecified
 
 
-def optimal_schedule(tubes: Sequence[Context], response: Response, config: TaskConfig) -> Optimum:
+def route_air(plant: Plant | None, tubes: Sequence[Context]) -> float:
+    """Least air before the helix and at its start [m3/s], with ``MARGIN`` of drag if the plant has it; 0: no route.
+
+    Raises:
+        ValueError: the probe does not get through the route in ``CONFIDENCE`` of the tubes.
+    """
+    if plant is None:
+        return 0.0
+    return min(math.sqrt(MARGIN) * plant.check_route(tubes, CONFIDENCE), plant.config.air_supply_rates[1])
+
+
+def optimal_schedule(
+    tubes: Sequence[Context], response: Response, config: TaskConfig, start_air: float = 0.0
+) -> Optimum:
     """The schedule with the best mean expected reward over equally likely tubes.
+
+    Args:
+        tubes: samples of the plant.
+        response: expected measurements.
+        config: the task.
+        start_air: least air [m3/s] at the lengths at which lost drive is not scored yet, see ``route_air``.
 
     Raises:
         ValueError: the response lacks the task's vibration measure, or no air in the range gives enough tension.
@@ -167,9 +192,10 @@ def optimal_schedule(tubes: Sequence[Context], response: Response, config: TaskC
     hopeless = too_slack.all(axis=1)
     if hopeless.any():
         at = f"{tension[hopeless][0].max():.3g} N at {lengths[hopeless][0]:g} m in {CONFIDENCE:.0%} of the samples"
-        needed = f"{MARGIN * config.required_tension:g} N are needed ({MARGIN:g} times required_tension)"
+        needed = f"{MARGIN * config.required_tension:.3g} N are needed ({MARGIN:g} times required_tension)"
         problem = f"air_supply_rates = {config.air_supply_rates!r} m3/s: the most air gives a root tension of only"
         raise ValueError(f"{problem} {at}, and {needed}")
+    too_slack |= (air < start_air - 1e-12) & ~drive_counts(config, lengths[:, None])
     logarithm, share = np.log(feed), share_between(air, config.air_supply_rates)
     change = CHANGE_WEIGHT * ((logarithm[:, None] - logarithm) ** 2 + (share[:, None] - share) ** 2)
     path = cheapest_path(np.where(too_slack, np.inf, cost * spacing[:, None]), change)
@@ -180,7 +206,7 @@ def optimal_schedule(tubes: Sequence[Context], response: Response, config: TaskC
     return Optimum(schedule, reward, float(tension[on_path][drive_counts(config, lengths)].min(initial=np.inf)))
 
 
-def optimal_law(tubes: Sequence[Context], response: Response, config: TaskConfig) -> Law:
+def optimal_law(tubes: Sequence[Context], response: Response, config: TaskConfig, start_air: float = 0.0) -> Law:
     """A feedback law: the recommended schedule for each of ``FRICTIONS`` in the range of the tubes; same errors."""
     values = {name: [getattr(tube, name) for tube in tubes] for name in Context.model_fields}
     ranges = {name: (min(v), max(v)) for name, v in values.items()}
@@ -191,7 +217,7 @@ def optimal_law(tubes: Sequence[Context], response: Response, config: TaskConfig
     for diameter in dict.fromkeys(tube.helix_diameter for tube in tubes):
         samples = [tube for tube in tubes if tube.helix_diameter == diameter][:DRAWS_PER_ROW]
         contexts_by_friction = ([tube.model_copy(update={"friction": mu}) for tube in samples] for mu in inside)
-        rows = [optimal_schedule(contexts, response, config).schedule for contexts in contexts_by_friction]
+        rows = [optimal_schedule(contexts, response, config, start_air).schedule for contexts in contexts_by_friction]
         lengths = rows[0].position
         columns = {name: tuple(getattr(row, name) for row in rows) for name in ("feed_speed", "air_supply_rate")}
         tables.append(OfDiameter(helix_diameter=diameter, **columns))

@@ -17,7 +17,7 @@ from typing import Annotated, Any, Final, Literal, Self
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import BeforeValidator, Field, FiniteFloat, ValidationError, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, FiniteFloat, ValidationError, model_validator
 from pydantic_core import PydanticCustomError
 from scipy.optimize import linear_sum_assignment
 from scipy.stats import qmc, truncnorm
@@ -27,6 +27,7 @@ from probe_env.envs.contexts import Context
 from probe_env.envs.task import VISIBLE_FIELDS, TaskConfig, ungrouped
 from probe_env.files import MEBI, FileError, read_bytes, read_toml
 from probe_env.inspection.sensor import Sensor
+from probe_env.physics.closed_forms.route import Route, least_air, one_helix, required_root_tension, route_forces
 from probe_env.scene import Air, Contact, Probe, Scene, Tube
 from probe_env.settings import Model, Quantity, explain, quantity, range_of, tuples, within
 
@@ -118,8 +119,6 @@ class Tubes(Model):
     """Bore [m]."""
     helix_length: Annotated[float, range_of(Tube, "helix_length")] = Tube().helix_length
     """Length of the helix along the tube axis [m]."""
-    straight_length: Annotated[float, quantity(0.0, 1e3, "m")] | None = None
-    """Length of the rising straight part [m]; stored with the results, not used in computations."""
     support_spacing: Annotated[float, quantity(1e-3, 100.0, "m")] | None = None
     """Distance between supports of the tube [m]; used by ``probe-env signal`` only."""
 
@@ -281,6 +280,9 @@ class Plant(Model):
     air: Supply = Supply()
     feed: FeedDevice = FeedDevice()
     sensor: Sensor = Sensor()
+    route: Annotated[Route, AfterValidator(one_helix)] = ()
+    """Segments from the feed device to the end of the tube, one of them the helix; the task's ``required_tension``
+    follows from it. Empty: not known."""
     task: Annotated[dict[str, Any], BeforeValidator(ungrouped)] = Field(default_factory=dict)
     """Fields of ``TaskConfig``, by themselves or in tables of its groups."""
     posterior: Posterior | None = None
@@ -395,8 +397,49 @@ class Plant(Model):
         values: dict[str, Any] = {"scene": self.scene, "sensor": self.sensor}
         if self.tube.helix_length > LONGEST:
             values["time_limit"] = TaskConfig().time_limit * self.tube.helix_length / LONGEST
+        if self.route:
+            values["required_tension"] = self._route_tension
         values |= dict(defaults or {}) | {name: value for name, value in device.items() if value is not None}
         return TaskConfig.model_validate(tuples(values | self.task | ungrouped(dict(changes or {}))))
+
+    @cached_property
+    def _route_tension(self) -> float:
+        """Root tension that the parts before the helix need [N], at the median friction; most in the largest helix."""
+        return required_root_tension(self.route, max(self.scenes, key=lambda scene: scene.tube.helix_diameter))
+
+    def check_route(self, contexts: Sequence[Context] = (), share: float = 0.95) -> float:
+        """Least air supply rate [m3/s] with which the probe gets through the route; 0 without a route.
+
+        Args:
+            contexts: tubes; friction is taken at their quantile ``share`` and drag at 1 - ``share``, in the smallest
+                helix, which has the least tension. Empty: medians.
+            share: of the tubes.
+
+        Raises:
+            ValueError: the most air of the plant is not enough; names the position of the tip where the probe stops.
+        """
+        if not self.route:
+            return 0.0
+        scene = min(self.scenes, key=lambda scene: scene.tube.helix_diameter)
+        changes: dict[str, Any] = {"feed_speed": self.config.feed_speeds[0]}
+        if contexts:
+            drag = np.quantile([context.drag_factor for context in contexts], 1.0 - share)
+            friction = np.quantile([context.friction for context in contexts], share)
+            changes["air"] = {"drag_coefficient": float(drag) * scene.air.drag_coefficient}
+            changes["contact"] = {"friction": float(friction)}
+        scene, most = scene.model_copy(update=changes), self.config.air_supply_rates[1]
+        forces = route_forces(self.route, scene, most)
+        air = least_air(self.route, scene)
+        short = np.flatnonzero(forces.feed < -1e-9)
+        if short.size:
+            stop, needed = short[0], air.max()
+            more = f"{3600.0 * needed:.4g} m3/h" if math.isfinite(needed) else "no air up to 720 m3/h"
+            raise ValueError(
+                f"route.{forces.segment[stop]}: the probe stops with its tip {forces.tip[stop]:.3g} m from the feed"
+                f" device, which would have to push with {-forces.feed[stop]:.2g} N: the most air of"
+                f" air_supply_rates is {3600.0 * most:.4g} m3/h, and {more} is enough for the whole route"
+            )
+        return float(air.max())
 
     def _drag_factors(self, shares: FloatArray) -> FloatArray:
         """(n,) drag over its median at shares (n,) in (0, 1)."""
@@ -458,6 +501,10 @@ def implausible(plant: Plant) -> str:
                 f"{table}.{name} = {step:g} {unit}: no whole step lies within {of}, {low:g} to {high:g} {unit}; use 0"
                 " (continuous) or a smaller step"
             )
+    try:
+        plant.check_route()
+    except ValueError as error:
+        return str(error)
     floats = min(scene.probe.guide_float_diameter, scene.probe.carrier_float_diameter)
     clearance = scene.tube.clear_diameter - floats
     if config.vibration_measure == "displacement" and config.limit > clearance:

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from agents.cli import main
+from agents.plant.plc_export import recipe_of
 from agents.plant.recommendation import (
     MARGIN,
     cheapest_path,
@@ -19,6 +20,7 @@ from agents.plant.recommendation import (
     optimal_schedule,
     outside_training,
     root_compression,
+    route_air,
     safe_air,
 )
 from agents.plant.response import Metres, stored_response
@@ -99,6 +101,24 @@ def test_plants_without_an_answer_are_refused() -> None:
     assert optimal_schedule(TUBES, RESPONSE, loud).schedule.position[-1] == 60.0
     with pytest.raises(ValueError, match=r"task.vibration_measure = 'velocity': recommendations support displacement"):
         optimal_schedule(TUBES, RESPONSE, Plant(task={"vibration_measure": "velocity"}).configured())
+
+
+def test_it_takes_the_probe_through_the_route() -> None:
+    """With 1.5 times the drag that 12 m of rising tube need where lost drive is not scored yet, then by the tension."""
+    tables = PLANT.model_dump() | {"route": ({"length": 12.0, "slope": 90.0}, {"helix": True})}
+    plant = Plant.model_validate(tables)
+    config = plant.config
+    air = route_air(plant, TUBES)
+    assert air**2 / plant.check_route(TUBES) ** 2 == pytest.approx(MARGIN)
+    free = optimal_schedule(TUBES, RESPONSE, config).schedule
+    optimum = optimal_schedule(TUBES, RESPONSE, config, air)
+    early = np.array(optimum.schedule.position) < config.lost_drive_from
+    assert min(free.air_supply_rate) < air <= min(np.array(optimum.schedule.air_supply_rate)[early])
+    assert optimum.tension >= MARGIN * config.required_tension > 1.5 * 3.0
+    assert recipe_of(plant).air_supply_rate[0] >= air
+    assert route_air(None, TUBES) == route_air(PLANT, TUBES) == 0.0
+    hard = tables | {"contact": {"friction": {"low": 0.1, "high": 0.9}}, "route": ({"length": 700.0}, {"helix": True})}
+    assert "route.0: the probe stops with its tip" in str(recipe_of(Plant.model_validate(hard)))
 
 
 def test_air_is_safe_in_every_tube() -> None:

@@ -233,6 +233,10 @@ def test_a_plant_that_the_law_was_not_made_for_is_told_so(tmp_path):
     file = tmp_path / "mine.toml"
     for text, warned in (
         ("[task]\nrequired_tension = 0.8\n", None),
+        (
+            "[[route]]\nlength = 12\nslope = 90\n[[route]]\nhelix = true\n",
+            "3.25 N: the law's least air, 45 m3/h, is for",
+        ),
         ("[task]\nrequired_tension = 2.5\n", "2.5 N: the law's least air, 45 m3/h, is for 0.8 N"),
         ("[tube]\ninner_diameter = 22.5e-3\n", "the law was not made for these tubes: inner_diameter = 0.0225 m"),
     ):

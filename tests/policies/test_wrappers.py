@@ -10,7 +10,7 @@ from agents.evaluation.plan import Plan, RolloutRunner
 from agents.policies.catalogue import domains_of, make_policy, name_and_spec, named_policies, user_policies
 from agents.policies.fixed import Constant
 from agents.policies.wrappers import Shielded
-from probe_env import Context, Scene, TaskConfig
+from probe_env import Context, Plant, Scene, TaskConfig
 from probe_env.envs.task.observations import observe
 from probe_env.fidelity import ROUND_TRIP_PRESETS, resolve_fidelity
 from probe_env.physics.closed_forms import sliding_tension
@@ -73,6 +73,15 @@ def test_what_keeps_the_margin_stays_to_the_bit_and_the_rest_comes_to_it():
     # float32 actions and observations: 1e-5 of the friction that is read
     assert tensions(shielded[~safe], friction[~safe]) == pytest.approx(1.2, rel=1e-4)
     assert (shielded[~safe, 0] == given[~safe, 0]).all()  # there is air enough
+
+
+def test_the_margin_is_that_of_the_route():
+    """12 m of rising tube before the helix need 3.1 N or so at this friction, not the 0.8 N of the task."""
+    tube, route = {"helix_length": 30.0}, [{"length": 12.0, "slope": 90.0}, {"helix": True}]
+    config = Plant.model_validate({"tube": tube, "route": route}).config.full_observation
+    assert config.required_tension == pytest.approx(3.2, abs=0.1)
+    shielded = acted([[0.0, -1.0]], np.array([0.15]), config)
+    assert tensions(shielded, 0.15) == pytest.approx(1.5 * config.required_tension, rel=1e-4)
 
 
 def test_there_is_no_nearer_action_that_keeps_the_margin():

@@ -7,16 +7,16 @@ import tomli_w
 from scipy.stats import ks_1samp, norm, uniform
 
 from agents.vec_env import ProbeVecEnv
-from probe_env import Plant, TaskConfig
+from probe_env import Plant, Scene, TaskConfig
 from probe_env.envs.contexts import HELIX_DIAMETERS, Context
 from probe_env.envs.plants import Normal, middle, quantiles
+from probe_env.physics.closed_forms.route import required_root_tension, route_forces
 
 TEXT = """
 [tube]
 helix_diameter = [1.0, 1.4, 2.0]
 inner_diameter = 22.1e-3
 helix_length = 40.0
-straight_length = 12.0
 [contact]
 friction = {low = 0.12, high = 0.22}
 stiffness = {mean = 1e5, std = 2e4}
@@ -30,6 +30,7 @@ feed_speeds = [0.02, 0.15]
 vibration_limit = 2e-4
 """
 SETTINGS = {"fidelity": "fast"}
+BEND = {"length": 0.8, "bend_radius": 0.5, "slope": 45.0}
 
 
 @pytest.fixture
@@ -130,6 +131,16 @@ BROKEN = {
     "air.air_supply_step = 0.05 m3/s: no whole step lies within air": {"air": {"air_supply_step": 0.05}},
     "helix_diameter = 1400.0 m is outside the accepted range 0.3 to 50 m": {"tube": {"helix_diameter": 1400}},
     "task.vibration_limit = 0.1 m is more than the 0.0052 m that": {"task": {"vibration_limit": 0.1}},
+    r"route.0.slope: 120.0 degrees is outside the accepted range -90 to 90 degrees": {
+        "route": [{"length": 3.0, "slope": 120.0}, {"helix": True}]
+    },
+    "route.0: length is missing: 0.001 to 1000 m": {"route": [{"slope": 90.0}, {"helix": True}]},
+    r"route.0: helix = true has the length .* of \[tube\]": {"route": [{"helix": True, "length": 9.0}]},
+    "route: 0 segments have helix = true; the accepted number is 1": {"route": [{"length": 3.0}]},
+    r"route.1: the probe stops with its tip 4.5 m from .* is 60 m3/h, and 67.\d\d m3/h is enough for the whole": {
+        "route": [{"length": 3.0}, {"length": 12.0, "slope": 90.0}, {"helix": True}],
+        "air": {"air_supply_rates": [0.01, 60.0 / 3600.0]},
+    },
     "contact.friction.std = 0.5 is more than the mean, 0.15": {"contact": {"friction": {"mean": 0.15, "std": 0.5}}},
     "contact.stiffness.std = 200000 is more than": {"contact": {"stiffness": {"mean": 1e5, "std": 2e5}}},
 }  # fmt: skip
@@ -143,6 +154,32 @@ def test_errors_are_one_line_with_file_and_field(tmp_path):
             Plant.from_toml(path)
         assert str(error.value).startswith(str(path))
         assert "\n" not in str(error.value)
+
+
+def test_the_required_tension_follows_from_the_route_unless_it_is_set():
+    """In the largest helix at the median friction; friction, not drag, decides what the worst tube needs."""
+    tables = {
+        "tube": {"helix_diameter": [1.0, 1.6]},
+        "contact": {"friction": {"low": 0.1, "high": 0.2}},
+        "route": [{"length": 12, "slope": 90}, {"helix": True}],
+    }
+    plant = Plant.model_validate(tables)
+    largest = Scene(tube={"helix_diameter": 1.6})
+    assert plant.config.required_tension == pytest.approx(required_root_tension(plant.route, largest), rel=1e-9)
+    assert Plant.model_validate(plant.model_dump()) == plant
+    assert Plant.model_validate(tables | {"task": {"required_tension": 2.0}}).config.required_tension == 2.0
+    assert plant.configured(changes={"limits": {"required_tension": 2.0}}).required_tension == 2.0
+    hard = [Context(friction=0.4, drag_factor=0.5, helix_diameter=1.0)]
+    # in the rising part only the drag counts, so twice the square of the air's speed past the probe
+    assert plant.check_route(hard) / plant.check_route() == pytest.approx(2.0**0.5, rel=1e-3)
+    assert Plant().check_route(hard) == 0.0
+    bent = Plant.model_validate({"route": [tables["route"][0], BEND, {"helix": True}]})  # the example of docs/plant.md
+    assert bent.config.required_tension == pytest.approx(3.42, abs=5e-3)
+    assert 3600.0 * bent.check_route() == pytest.approx(67.4, abs=1.0)  # at the slowest feed, 0.18 m/s less
+    assert route_forces(bent.route, bent.scene, 0.02).feed.min() == pytest.approx(0.08, abs=5e-3)
+    weak = Plant.model_validate(tables | {"air": {"air_supply_rates": [0.01, 80.0 / 3600.0]}})
+    with pytest.raises(ValueError, match=r"route.0: the probe stops with its tip 0.5 m .* push with .* N"):
+        weak.check_route(hard)
 
 
 def test_tubes_are_spread_over_their_distributions_and_prefixes_stay(file):

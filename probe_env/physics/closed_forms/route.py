@@ -1,0 +1,189 @@
+"""Soft-string model of the whole route: forces at the feed device and at the entrance of the helix, and least air.
+
+The cable slides at constant speed and has no inertia or bending stiffness. Over a length ds of the route, towards the
+feed device, the axial force T grows by (q - w sin a - mu N) ds on insertion, and by (q - w sin a + mu N) ds on
+withdrawal: drag q per metre, weight w per metre, slope a, friction mu. The wall's force is
+N = sqrt((T (1 -+ d_f / 2R) / R)^2 + (w cos a)^2), because the normal of a curve with constant slope is horizontal.
+Friction acts at the surface of the float (diameter d_f), on the inner wall under tension (-), on the outer wall under
+compression (+). The feed device can hold the cable back but cannot push it: T must not be negative there.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Annotated, Final, NamedTuple, Self
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import Field, model_validator
+from pydantic_core import PydanticCustomError
+
+from probe_env.arrays import FloatArray
+from probe_env.physics.closed_forms import GRAVITY, drag_per_metre
+from probe_env.physics.model.chain import air_speed
+from probe_env.scene import Scene
+from probe_env.settings import Model, quantity
+
+Drag = Callable[[FloatArray, FloatArray], FloatArray]
+"""Drag per metre (k,) [N/m] at air supply rates (k,) [m3/s], at distances (k,) behind the tip [m]."""
+CELL: Final = 0.5
+"""Longest step of the integration [m]; tips are at the ends of the steps."""
+DECAY: Final = 0.1
+"""Greatest mu ds / R of a step, with an error of the Runge-Kutta step below 1e-7 of the force."""
+MOST_AIR: Final = 0.2
+"""Most air supply of a scene [m3/s]."""
+ROUNDS, TOLERANCE = 60, 1e-6
+"""Most iterations of ``least_air`` (it needs about 25), and its tolerance of the force [N]."""
+
+
+class Segment(Model):
+    """A part of the route with constant slope and curvature; ``helix = true``: the helix of the tube."""
+
+    helix: bool = False
+    """The helix, with length and diameter of the tube."""
+    length: Annotated[float, quantity(1e-3, 1e3, "m")] | None = None
+    """Length along the axis [m]."""
+    slope: Annotated[float, quantity(-90.0, 90.0, "degrees")] = 0.0
+    """Angle of the direction of insertion to the horizontal [degrees]; 90: rising, -90: falling."""
+    bend_radius: Annotated[float, quantity(0.15, 1e4, "m")] | None = None
+    """Radius of curvature [m]; default: straight."""
+
+    @model_validator(mode="after")
+    def _has_its_length(self) -> Self:
+        if self.helix and (self.length is not None or self.bend_radius is not None):
+            text = "helix = true has the length and the diameter of [tube]: leave out length and bend_radius"
+            raise PydanticCustomError("helix", "{text}", {"text": text})
+        if not self.helix and self.length is None:
+            raise PydanticCustomError("length", "length is missing: 0.001 to 1000 m, or helix = true")
+        return self
+
+
+def one_helix(route: tuple[Segment, ...]) -> tuple[Segment, ...]:
+    """The route, if it is empty or has one helix, as a validator."""
+    count = sum(segment.helix for segment in route)
+    if route and count != 1:
+        raise PydanticCustomError(
+            "helix", "{count} segments have helix = true; the accepted number is 1", {"count": count}
+        )
+    return route
+
+
+Route = Annotated[tuple[Segment, ...], Field(max_length=100)]
+"""Segments from the feed device to the end of the tube."""
+
+
+class RouteForces(NamedTuple):
+    """Axial forces of the cable for k positions of the tip; negative: compression."""
+
+    tip: FloatArray  # (k,) positions of the tip, from the feed device [m]
+    feed: FloatArray  # (k,) force that the feed device holds [N]
+    root: FloatArray  # (k,) force at the entrance of the helix [N]; NaN where the tip is before it
+    in_helix: npt.NDArray[np.bool_]  # (k,) whether the tip is in the helix
+    segment: npt.NDArray[np.int_]  # (k,) index of the segment of the tip
+
+
+def uniform_drag(scene: Scene) -> Drag:
+    """Drag of an air stream with the same density and speed everywhere; guide floats may have another diameter."""
+    probe = scene.probe
+    guide = drag_per_metre(scene.model_copy(update={"probe": {"carrier_float_diameter": probe.guide_float_diameter}}))
+    carrier = drag_per_metre(scene)
+
+    def drag(air: FloatArray, behind: FloatArray) -> FloatArray:
+        wind = air * air_speed(scene, 1.0) - scene.feed_speed
+        return np.where(behind < probe.guide_length, guide, carrier) * wind * np.abs(wind)
+
+    return drag
+
+
+def route_forces(route: Route, scene: Scene, air: npt.ArrayLike | None = None, drag: Drag | None = None) -> RouteForces:
+    """Forces at the feed device and at the entrance of the helix for all positions of the tip.
+
+    Args:
+        route: segments; one of them is the helix.
+        scene: probe, bore, helix, friction; the sign of the feed speed is the direction: negative is withdrawal.
+        air: air supply rate [m3/s], one number or one for each tip (k,); default: that of the scene.
+        drag: drag per metre; default: ``uniform_drag`` of the scene.
+    """
+    drag, mu = drag or uniform_drag(scene), scene.contact.friction
+    weight, friction = scene.probe.line_density * GRAVITY, math.copysign(mu, -scene.feed_speed)
+    lengths, slopes, radii, owner = [], [], [], []
+    for k, segment in enumerate(route):
+        length = scene.tube.helix_length if segment.helix else segment.length or 0.0
+        radius = 0.5 * scene.tube.helix_diameter if segment.helix else segment.bend_radius or math.inf
+        count = math.ceil(length / min(CELL, DECAY * radius / max(mu, 1e-3)) - 1e-9)
+        lengths += [length / count] * count
+        slopes += [math.radians(segment.slope)] * count
+        radii += [radius] * count
+        owner += [k] * count
+    helix = next(k for k, segment in enumerate(route) if segment.helix)
+    segment_of, tip = np.array(owner), np.cumsum(lengths)
+    air = np.broadcast_to(scene.air_supply_rate if air is None else np.asarray(air, dtype=float), tip.shape)
+    force, root = np.zeros(len(tip)), np.full(len(tip), np.nan)
+    for k in reversed(range(len(tip))):
+        step, radius = lengths[k], radii[k]
+        across = weight * math.cos(slopes[k])
+        along = drag(air[k:], tip[k:] - (tip[k] - 0.5 * step)) - weight * math.sin(slopes[k])
+        if math.isinf(radius):
+            force[k:] += (along + friction * across) * step
+        else:
+            force[k:] = _through_bend(force[k:], along, across, friction, radius, scene, step)
+        if segment_of[k] == helix and (k == 0 or segment_of[k - 1] != helix):
+            root[k:] = force[k:]
+    return RouteForces(tip, force, root, segment_of == helix, segment_of)
+
+
+def _through_bend(
+    force: FloatArray, along: FloatArray, across: float, friction: float, radius: float, scene: Scene, step: float
+) -> FloatArray:
+    """Force (k,) after a step through a bend, by Runge-Kutta's method of fourth order."""
+    lever = 0.5 * scene.probe.carrier_float_diameter / radius
+
+    def growth(tension: FloatArray) -> FloatArray:
+        return along + friction * np.hypot((tension - lever * np.abs(tension)) / radius, across)
+
+    first = growth(force)
+    second = growth(force + 0.5 * step * first)
+    third = growth(force + 0.5 * step * second)
+    return force + step / 6.0 * (first + 2.0 * second + 2.0 * third + growth(force + step * third))
+
+
+def least_air(route: Route, scene: Scene, drag: Drag | None = None) -> FloatArray:
+    """Least air supply rate (k,) [m3/s] with which the feed device need not push, for each tip of ``route_forces``.
+
+    Infinite where ``MOST_AIR`` is not enough. The force is nearly linear in the square of the air, so the method is
+    regula falsi in that variable (Illinois).
+    """
+
+    def feed(square: FloatArray) -> FloatArray:
+        return route_forces(route, scene, np.sqrt(square), drag).feed
+
+    low = np.zeros_like(route_forces(route, scene, 0.0, drag).tip)
+    high = low + MOST_AIR**2
+    below, above = feed(low), feed(high)
+    enough, hopeless = below >= 0.0, above < 0.0
+    solved = enough | hopeless
+    square, before = low, np.zeros_like(low)
+    for _ in range(ROUNDS):
+        square = np.where(solved, low, high - above * (high - low) / np.where(solved, 1.0, above - below))
+        value = feed(square)
+        if (solved | (np.abs(value) < TOLERANCE)).all():
+            break
+        side = np.where(value >= 0.0, 1.0, -1.0)
+        above = np.where(side > 0.0, value, np.where(side == before, 0.5 * above, above))
+        below = np.where(side < 0.0, value, np.where(side == before, 0.5 * below, below))
+        low, high, before = np.where(side < 0.0, square, low), np.where(side > 0.0, square, high), side
+    return np.where(hopeless, np.inf, np.sqrt(square))
+
+
+def required_root_tension(route: Route, scene: Scene, drag: Drag | None = None) -> float:
+    """Least root tension in the helix [N] with which the feed device need not push, at most over all inserted lengths.
+
+    It is the root tension at ``least_air``. More air increases the root tension and reduces what the parts before the
+    helix need, so a root tension above it is enough, and one below it is not. In a uniform stream it depends neither on
+    the drag coefficient nor on the feed speed.
+    """
+    air = least_air(route, scene, drag)
+    possible = np.isfinite(air)
+    forces = route_forces(route, scene, np.where(possible, air, MOST_AIR), drag)
+    return float(forces.root[forces.in_helix & possible].max(initial=0.0))

@@ -1,0 +1,141 @@
+"""The soft string: capstan, straight part, helix, and an integration by SciPy; the least air and what it rests on."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
+
+from probe_env import Scene
+from probe_env.physics.closed_forms import GRAVITY, steady_root_tension, tension_for_straight
+from probe_env.physics.closed_forms.route import (
+    Segment,
+    least_air,
+    required_root_tension,
+    route_forces,
+    uniform_drag,
+)
+
+HELIX, RISING = Segment(helix=True), Segment(length=12.0, slope=90.0)
+AREA = math.pi / 4.0 * (0.0242**2 - 0.00835**2)
+SCENE = Scene()
+WEIGHT = 0.111 * GRAVITY
+
+
+def expanding(scene):
+    """Isothermal air that loses to the pressure what it gives to the cable: p dp/ds = q p / A, with q ~ 1 / p."""
+    uniform = uniform_drag(scene)
+
+    def drag(air, behind):
+        at_tip = uniform(air, behind)
+        return at_tip / np.sqrt(1.0 + 2.0 * np.abs(at_tip) * behind / (101325.0 * AREA))
+
+    return drag
+
+
+@pytest.mark.parametrize("direction", [1.0, -1.0])
+def test_a_bend_divides_or_multiplies_as_a_capstan_does(direction):
+    """10 kN from 10 m of helix that is nearly straight; the weight of the bend's cable is 1e-5 of it."""
+    scene = Scene.fitted(
+        {"tube": {"helix_diameter": 1e4, "helix_length": 10.0}, "probe": {"line_density": 0.01}}
+    ).model_copy(update={"feed_speed": 0.2 * direction})
+    for angle in (0.5 * math.pi, 3.0):
+        route = (Segment(length=0.5 * angle, bend_radius=0.5), HELIX)
+        forces = route_forces(route, scene, drag=lambda air, behind: 1e3 * (behind < 10.0))
+        friction = scene.contact.friction * (1.0 - 0.019 / 2.0 / 0.5)
+        assert forces.root[-1] == pytest.approx(1e4, rel=1e-3)
+        assert forces.feed[-1] == pytest.approx(forces.root[-1] * math.exp(-direction * friction * angle), rel=1e-5)
+
+
+@pytest.mark.parametrize("slope", [90.0, 30.0])
+def test_what_a_straight_part_needs_is_its_balance_at_the_least_air(slope):
+    route = (Segment(length=12.0, slope=slope), HELIX)
+    least = SCENE.model_copy(update={"air_supply_rate": float(least_air(route, SCENE)[-1])})
+    needed = tension_for_straight(least, 12.0, math.radians(slope))
+    assert needed > 1.0
+    assert required_root_tension(route, SCENE) == pytest.approx(needed, rel=1e-6)
+    thin = SCENE.model_copy(update={"air": {"drag_coefficient": 0.3}, "feed_speed": 0.05})
+    assert required_root_tension(route, thin) == pytest.approx(needed, rel=1e-6)  # of the air only the drag counts
+    assert required_root_tension((Segment(length=12.0, slope=-90.0), HELIX), SCENE) == 0.0
+
+
+def test_a_helix_alone_is_steady_sliding():
+    """Without weight, mu w / q = 1.5 % of a cable of 10 g/m, squared; with it, in balance when dT/ds = 0."""
+    light = SCENE.model_copy(update={"probe": {"line_density": 0.01}})
+    forces = route_forces((HELIX,), light)
+    for length in (20.0, 57.5):
+        steady = steady_root_tension(light.model_copy(update={"carrier_length": length - 2.5}))
+        assert np.interp(length, forces.tip, forces.feed) == pytest.approx(steady, rel=3e-4)
+    drag = float(uniform_drag(SCENE)(np.array(SCENE.air_supply_rate), np.array(50.0)))
+    normal = math.sqrt((drag / 0.15) ** 2 - WEIGHT**2)
+    assert route_forces((HELIX,), SCENE).feed[-1] == pytest.approx(normal * 0.6 / (1.0 - 0.019 / 1.2), rel=1e-5)
+
+
+@pytest.mark.parametrize("direction", [1.0, -1.0])
+@pytest.mark.parametrize("air", [80.0, 130.0])
+def test_a_whole_route_is_integrated_right(direction, air):
+    """Against a fine integration from the tip: legs, bends, helix and outlet, in air that expands."""
+    scene = SCENE.model_copy(update={"feed_speed": 0.2 * direction, "air_supply_rate": direction * air / 3600.0})
+    route = (
+        Segment(length=5.3, slope=90.0), Segment(length=0.8, slope=45.0, bend_radius=0.5), Segment(length=9.0),
+        Segment(helix=True, slope=3.0), Segment(length=0.4, slope=-45.0, bend_radius=0.3),
+        Segment(length=6.0, slope=-90.0),
+    )  # fmt: skip
+    drag, forces = expanding(scene), route_forces(route, scene, drag=expanding(scene))
+    lengths = [60.0 if segment.helix else segment.length for segment in route]
+    radii = [0.6 if segment.helix else segment.bend_radius for segment in route]
+    ends = np.cumsum(lengths)
+    for k in (8, 25, 60, 120, len(forces.tip) - 1):
+        tip, force, at_root = forces.tip[k], 0.0, math.nan
+        for segment, radius, length, end in reversed(list(zip(route, radii, lengths, ends, strict=True))):
+            if tip <= end - length + 1e-9:
+                continue
+
+            def growth(behind, tension, segment=segment, radius=radius, tip=tip):
+                side = math.copysign(1.0, tension[0])
+                bend = tension[0] * (1.0 - side * 0.019 / 2.0 / radius) / radius if radius else 0.0
+                normal = math.hypot(bend, WEIGHT * math.cos(math.radians(segment.slope)))
+                pull = drag(np.array(scene.air_supply_rate), np.array(behind))
+                return pull - WEIGHT * math.sin(math.radians(segment.slope)) - direction * 0.15 * normal
+
+            near, far = max(tip - end, 0.0), tip - end + length
+            force = solve_ivp(growth, (near, far), [force], rtol=1e-8, atol=1e-8, max_step=0.05).y[0, -1]
+            at_root = force if segment.helix else at_root
+        # drag at the middle of a step of 0.5 m: q'' h^2 / 24 over some 5 m, with q'' up to 0.12 N/m3 near the tip
+        assert forces.feed[k] == pytest.approx(force, abs=6e-3)
+        assert forces.root[k] == pytest.approx(at_root, abs=6e-3, nan_ok=True)
+        assert forces.in_helix[k] == (ends[2] < tip < ends[3] + 1e-9)
+
+
+def test_air_that_expands_must_be_120_m3_per_h_where_a_uniform_stream_needs_68():
+    """30 m of rising tube before the helix: the cable's weight against the air. At the tip of both, the same.
+
+    In the rising part the balance is 2 q A p / (2 q) (sqrt(1 + 2 q x / A p) - 1) = w x.
+    """
+    route = (Segment(length=30.0, slope=90.0), HELIX)
+    uniform, spread = least_air(route, SCENE), least_air(route, SCENE, expanding(SCENE))
+
+    def pull(air):
+        return float(uniform_drag(SCENE)(np.array(air), np.array(50.0)))
+
+    assert 3600.0 * uniform.max() == pytest.approx(3600.0 * brentq(lambda air: pull(air) - WEIGHT, 0.01, 0.1))
+    assert 67.0 < 3600.0 * uniform.max() < 68.0
+
+    def left(air):
+        rate = 2.0 * pull(air) / (101325.0 * AREA)
+        return 2.0 * pull(air) / rate * (math.sqrt(1.0 + 30.0 * rate) - 1.0) - 30.0 * WEIGHT
+
+    tip = route_forces(route, SCENE).tip
+    assert spread[np.argmin(abs(tip - 30.0))] == pytest.approx(brentq(left, 0.01, 0.1), rel=1e-4)
+    assert 3600.0 * spread[-1] == pytest.approx(120.0, abs=1.0)
+
+
+def test_the_least_air_leaves_no_force_and_less_is_not_enough():
+    route = (Segment(length=3.0), Segment(length=0.8, slope=45.0, bend_radius=0.5), RISING, HELIX)
+    air = least_air(route, SCENE)
+    assert np.abs(route_forces(route, SCENE, air).feed).max() < 1e-6
+    assert (route_forces(route, SCENE, 0.99 * air).feed < 0.0).all()
+    # no air: beyond the scene's most
+    still = SCENE.model_copy(update={"air": {"drag_coefficient": 0.0}})
+    assert np.isinf(least_air(route, still)).all()
