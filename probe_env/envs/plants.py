@@ -280,13 +280,13 @@ class Plant(Model):
     air: Supply = Supply()
     feed: FeedDevice = FeedDevice()
     sensor: Sensor = Sensor()
-    route: Annotated[Route, AfterValidator(one_helix)] = ()
-    """Segments from the feed device to the end of the tube, one of them the helix; the task's ``required_tension``
-    follows from it. Empty: not known."""
     task: Annotated[dict[str, Any], BeforeValidator(ungrouped)] = Field(default_factory=dict)
     """Fields of ``TaskConfig``, by themselves or in tables of its groups."""
     posterior: Posterior | None = None
     """Draws of a calibration, which replace the figures of the same quantities; in a file the path to them."""
+    route: Annotated[Route, AfterValidator(one_helix)] = ()
+    """Segments from the feed device to the end of the tube, one of them the helix; the task's ``required_tension``
+    follows from it. Empty: not known."""
 
     @classmethod
     def from_toml(cls, path: str | Path) -> Self:

@@ -33,6 +33,8 @@ DECAY: Final = 0.1
 """Greatest mu ds / R of a step, with an error of the Runge-Kutta step below 1e-7 of the force."""
 MOST_AIR: Final = 0.2
 """Most air supply of a scene [m3/s]."""
+LOCKED: Final = 1e6
+"""Force [N] at which the cable is stuck: it grows exponentially in a bend under compression."""
 ROUNDS, TOLERANCE = 60, 1e-6
 """Most iterations of ``least_air`` (it needs about 25), and its tolerance of the force [N]."""
 
@@ -127,7 +129,8 @@ def route_forces(route: Route, scene: Scene, air: npt.ArrayLike | None = None, d
         if math.isinf(radius):
             force[k:] += (along + friction * across) * step
         else:
-            force[k:] = _through_bend(force[k:], along, across, friction, radius, scene, step)
+            after = _through_bend(force[k:], along, across, friction, radius, scene, step)
+            force[k:] = np.clip(after, -LOCKED, LOCKED)
         if segment_of[k] == helix and (k == 0 or segment_of[k - 1] != helix):
             root[k:] = force[k:]
     return RouteForces(tip, force, root, segment_of == helix, segment_of)
@@ -156,7 +159,8 @@ def least_air(route: Route, scene: Scene, drag: Drag | None = None) -> FloatArra
     """
 
     def feed(square: FloatArray) -> FloatArray:
-        return route_forces(route, scene, np.sqrt(square), drag).feed
+        # clipped: far from the root the steps are bisections
+        return np.clip(route_forces(route, scene, np.sqrt(square), drag).feed, -1.0, 1.0)
 
     low = np.zeros_like(route_forces(route, scene, 0.0, drag).tip)
     high = low + MOST_AIR**2

@@ -133,9 +133,11 @@ def test_air_that_expands_must_be_120_m3_per_h_where_a_uniform_stream_needs_68()
 
 def test_the_least_air_leaves_no_force_and_less_is_not_enough():
     route = (Segment(length=3.0), Segment(length=0.8, slope=45.0, bend_radius=0.5), RISING, HELIX)
-    air = least_air(route, SCENE)
-    assert np.abs(route_forces(route, SCENE, air).feed).max() < 1e-6
-    assert (route_forces(route, SCENE, 0.99 * air).feed < 0.0).all()
+    rough = SCENE.model_copy(update={"contact": {"friction": 0.4}, "tube": {"helix_diameter": 1.0}})
+    for scene in (SCENE, rough):
+        air = least_air(route, scene)
+        assert np.abs(route_forces(route, scene, air).feed).max() < 1e-6
+        assert (route_forces(route, scene, 0.99 * air).feed < 0.0).all()
     # no air: beyond the scene's most
     still = SCENE.model_copy(update={"air": {"drag_coefficient": 0.0}})
     assert np.isinf(least_air(route, still)).all()
