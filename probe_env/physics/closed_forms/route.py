@@ -29,8 +29,10 @@ Drag = Callable[[FloatArray, FloatArray], FloatArray]
 """Drag per metre (k,) [N/m] at air supply rates (k,) [m3/s], at distances (k,) behind the tip [m]."""
 CELL: Final = 0.5
 """Longest step of the integration [m]; tips are at the ends of the steps."""
-DECAY: Final = 0.1
-"""Greatest mu ds / R of a step, with an error of the Runge-Kutta step below 1e-7 of the force."""
+DECAY: Final = 0.25
+"""Greatest mu ds / R of a step: the error of the Runge-Kutta step is then below 1e-5 of the force."""
+MOST_STEPS: Final = 4000
+"""Most steps of a route, about 2 km; the time grows with the square."""
 MOST_AIR: Final = 0.2
 """Most air supply of a scene [m3/s]."""
 LOCKED: Final = 1e6
@@ -93,7 +95,7 @@ def uniform_drag(scene: Scene) -> Drag:
 
     def drag(air: FloatArray, behind: FloatArray) -> FloatArray:
         wind = air * air_speed(scene, 1.0) - scene.feed_speed
-        return np.where(behind < probe.guide_length, guide, carrier) * wind * np.abs(wind)
+        return np.asarray(np.where(behind < probe.guide_length, guide, carrier) * wind * np.abs(wind))
 
     return drag
 
@@ -106,6 +108,9 @@ def route_forces(route: Route, scene: Scene, air: npt.ArrayLike | None = None, d
         scene: probe, bore, helix, friction; the sign of the feed speed is the direction: negative is withdrawal.
         air: air supply rate [m3/s], one number or one for each tip (k,); default: that of the scene.
         drag: drag per metre; default: ``uniform_drag`` of the scene.
+
+    Raises:
+        ValueError: the route is too long.
     """
     drag, mu = drag or uniform_drag(scene), scene.contact.friction
     weight, friction = scene.probe.line_density * GRAVITY, math.copysign(mu, -scene.feed_speed)
@@ -114,6 +119,9 @@ def route_forces(route: Route, scene: Scene, air: npt.ArrayLike | None = None, d
         length = scene.tube.helix_length if segment.helix else segment.length or 0.0
         radius = 0.5 * scene.tube.helix_diameter if segment.helix else segment.bend_radius or math.inf
         count = math.ceil(length / min(CELL, DECAY * radius / max(mu, 1e-3)) - 1e-9)
+        if len(lengths) + count > MOST_STEPS:
+            text = f"route.{k}: the route needs over {MOST_STEPS} steps"
+            raise ValueError(f"{text}, of {CELL:g} m and less in bends with much friction: shorten it")
         lengths += [length / count] * count
         slopes += [math.radians(segment.slope)] * count
         radii += [radius] * count
@@ -143,12 +151,12 @@ def _through_bend(
     lever = 0.5 * scene.probe.carrier_float_diameter / radius
 
     def growth(tension: FloatArray) -> FloatArray:
-        return along + friction * np.hypot((tension - lever * np.abs(tension)) / radius, across)
+        return np.asarray(along + friction * np.hypot((tension - lever * np.abs(tension)) / radius, across))
 
     first = growth(force)
     second = growth(force + 0.5 * step * first)
     third = growth(force + 0.5 * step * second)
-    return force + step / 6.0 * (first + 2.0 * second + 2.0 * third + growth(force + step * third))
+    return np.asarray(force + step / 6.0 * (first + 2.0 * second + 2.0 * third + growth(force + step * third)))
 
 
 def least_air(route: Route, scene: Scene, drag: Drag | None = None) -> FloatArray:

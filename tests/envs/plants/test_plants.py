@@ -137,6 +137,7 @@ BROKEN = {
     "route.0: length is missing: 0.001 to 1000 m": {"route": [{"slope": 90.0}, {"helix": True}]},
     r"route.0: helix = true has the length .* of \[tube\]": {"route": [{"helix": True, "length": 9.0}]},
     "route: 0 segments have helix = true; the accepted number is 1": {"route": [{"length": 3.0}]},
+    "route.2: the route needs over 4000 steps": {"route": [{"length": 1e3}, {"length": 999.0}, {"helix": True}]},
     # q = 0.870 N/m: (q - 0.163) 3 m carry (1.089 - q) 9.7 m; for 12 m q = 0.904
     r"route.1: the probe stops with its tip 13 m from .* is 60 m3/h, and 61.14 m3/h is enough for the whole": {
         "route": [{"length": 3.0}, {"length": 12.0, "slope": 90.0}, {"helix": True}],
