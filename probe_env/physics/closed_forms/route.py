@@ -114,7 +114,8 @@ def route_forces(route: Route, scene: Scene, air: npt.ArrayLike | None = None, d
     """
     drag, mu = drag or uniform_drag(scene), scene.contact.friction
     weight, friction = scene.probe.line_density * GRAVITY, math.copysign(mu, -scene.feed_speed)
-    lengths, slopes, radii, owner = [], [], [], []
+    lengths: list[float] = []
+    slopes, radii, owner = [], [], []
     for k, segment in enumerate(route):
         length = scene.tube.helix_length if segment.helix else segment.length or 0.0
         radius = 0.5 * scene.tube.helix_diameter if segment.helix else segment.bend_radius or math.inf
