@@ -132,7 +132,7 @@ def tension_for_straight(scene: Scene, length: float, incline: float = math.pi /
     weight = scene.probe.line_density * GRAVITY
     uphill = weight * (math.sin(incline) + scene.contact.friction * math.cos(incline))
     ends = scene.inserted_length + np.array([0.0, length])
-    (factor,) = drag_factors(scene, ends, scene.inserted_length, scene.feed_speed, exit_speed)
+    factor = float(drag_factors(scene, ends, scene.inserted_length, scene.feed_speed, exit_speed)[0])
     return max(uphill - factor * drag_per_metre(scene) * wind * abs(wind), 0.0) * length
 
 

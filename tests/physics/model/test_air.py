@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from probe_env import Scene, Simulator, SimulatorBatch
+from probe_env import Fidelity, Scene, Simulator, SimulatorBatch
+from probe_env.envs.episodes.limits import check_fidelity
 from probe_env.envs.surrogate import check_task
 from probe_env.envs.task import TaskConfig
 from probe_env.envs.vibration_map import stored_map
@@ -153,8 +154,11 @@ def test_other_solvers_and_batches_give_equal_results():
         assert (alone.state.d == simulator.state.d).all()
 
 
-def test_the_surrogate_refuses_compressible_air():
+def test_environments_refuse_compressible_air_without_a_method_for_it():
     config = TaskConfig(scene=Scene(carrier_length=0.5, air=EXPANDING))
+    check_fidelity(Fidelity(), config)
+    with pytest.raises(ValueError, match=r"^air\.compressible = true: imex does not simulate it; use newmark, "):
+        check_fidelity(Fidelity(method="imex"), config)
     with pytest.raises(ValueError, match=r"without air\.compressible = true: simulate with standard"):
         check_task(config, "scene", stored_map())
 
