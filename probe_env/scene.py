@@ -82,9 +82,16 @@ class Air(Model):
     """Air that drags the floats along."""
 
     density: Annotated[float, quantity(0.01, 100.0, "kg/m3")] = 1.023
-    """Density of the air [kg/m3]."""
+    """Density of the air at the exit [kg/m3]."""
     drag_coefficient: Annotated[float, quantity(0.0, 10.0, "")] = 0.44
     """Drag coefficient of a float [-]."""
+    compressible: bool = False
+    """Expansion of the air on its way to the exit: its pressure drops by the drag of the floats, so that floats near
+    the entrance are pulled less."""
+    exit_pressure: Annotated[float, quantity(1e3, 1e7, "Pa")] = 101325.0
+    """Absolute pressure at the end of the helix where the air leaves, for compressible air [Pa]."""
+    darcy_factor: Annotated[float, quantity(0.0, 1.0, "")] = 0.0
+    """Darcy friction factor of the tube wall, for compressible air [-]; 0: the floats take the whole pressure drop."""
 
 
 class Scene(Model):
@@ -100,7 +107,8 @@ class Scene(Model):
     feed_speed: Annotated[float, quantity(-2.0, 2.0, "m/s")] = 0.2
     """Feed speed of the cable; negative: withdrawal [m/s]."""
     air_supply_rate: Annotated[float, quantity(-0.2, 0.2, "m3/s")] = 63.0 / 3600.0
-    """Air supply behind the probe; negative: towards the feed device [m3/s]. 1 m3/h is 2.78e-4 m3/s."""
+    """Air supply behind the probe, as volume at the pressure of the exit; negative: towards the feed device [m3/s].
+    1 m3/h is 2.78e-4 m3/s."""
     carrier_length: Annotated[float, quantity(0.0, 1e3, "m")] = 50.0
     """Length of the cable between entrance and sensor [m]."""
 

@@ -19,7 +19,7 @@ from typing import Final, NamedTuple
 
 from probe_env.envs.task import TaskConfig
 from probe_env.fidelity import MESH_NODES, Fidelity
-from probe_env.physics.methods import METHODS, ON_NODES
+from probe_env.physics.methods import METHODS, ON_NODES, check_scene
 from probe_env.physics.model.chain import air_speed
 from probe_env.scene import Probe, Scene
 from probe_env.settings import whole_steps
@@ -53,6 +53,7 @@ def check_fidelity(fidelity: Fidelity, config: TaskConfig) -> None:
             f"fidelity.time_lapse = {fidelity.time_lapse:g} (as in 'fast') skips metres of an insertion, and the length"
             " of this probe is constant: use fidelity 'standard', or settings with time_lapse = 1"
         )
+    check_scene(METHODS[fidelity.method], config.scene)
     whole_steps("config.period / fidelity.time_lapse", config.period / fidelity.time_lapse, fidelity.time_step)
     if config.returns or fidelity.steady_feed is not None:
         whole_steps("config.period", config.period, fidelity.time_step)

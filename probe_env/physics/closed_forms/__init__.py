@@ -14,12 +14,13 @@ import numpy as np
 from probe_env.arrays import FloatArray
 from probe_env.physics.closed_forms.bare_chains import impact as impact
 from probe_env.physics.closed_forms.bare_chains import linear_chain as linear_chain
-from probe_env.physics.model.chain import air_speed, build_chain
+from probe_env.physics.model.chain import air_pressure as air_pressure
+from probe_env.physics.model.chain import air_speed, build_chain, drag_factors
 from probe_env.scene import Probe, Scene
 from probe_env.settings import within
 
 GRAVITY: Final = 9.80665
-"""[m/s2]; neglected in the helix, whose plane is assumed to be horizontal."""
+"""[m/s2]; neglected in the simulation of the helix, whose plane is assumed to be horizontal."""
 MEASURED: Final = ("root_tension", "inserted_length", "feed_speed", "air_supply_rate", "helix_diameter")
 """Measurements from which friction is estimated, SI units."""
 SHAPE: Final = ("guide_length", "guide_float_diameter", "carrier_float_diameter", "float_pitch")
@@ -31,30 +32,64 @@ def steady_root_tension(scene: Scene) -> float:
     return float(steady_tensions(scene)[-1])
 
 
-def steady_tensions(scene: Scene) -> FloatArray:
+def steady_tensions(scene: Scene, weight: float = 0.0) -> FloatArray:
     """Closed form of the axial force behind every float in steady sliding [N], tip first; negative: compression.
 
     T = (q r / mu') (1 - exp(-mu' s / r)) at a distance s from the tip, with the mean drag q per metre. Friction acts at
     the surface of the float: mu' = mu (1 - d_f / d_h) under tension, on the inner wall, and mu (1 + d_f / d_h) under
     compression, on the outer wall. Friction reduces the force of the air if the probe moves with the air, and increases
-    it otherwise. With two float sizes, q is piecewise constant and T is continuous.
+    it otherwise. With two float sizes, q is piecewise constant and T is continuous. In compressible air q has its mean
+    over each pitch, see ``drag_factors``.
+
+    With a weight w across the plane of the helix, friction is mu sqrt(N^2 + w^2) with N = T / r. Its moment about the
+    cable remains that of mu N, because the contact point moves out of the plane:
+
+        dT/ds = q - mu (sqrt((T / r)^2 + w^2) - d_f / d_h T / r),
+
+    the equation above for w = 0, and T = (q - mu w) s in a straight tube; integrated by Runge-Kutta steps of a pitch.
+
+    Args:
+        scene: probe, tube, friction, air, feed speed and length.
+        weight: of the cable per metre, across the plane of the helix [N/m]; ``GRAVITY`` times the line density for a
+            helix with a vertical axis. The simulation neglects it.
     """
     chain = build_chain(scene)
-    relative = air_speed(scene, scene.air_supply_rate) - scene.feed_speed
+    exit_speed = air_speed(scene, scene.air_supply_rate)
+    relative = exit_speed - scene.feed_speed
     pitch = scene.probe.float_pitch
     radius = scene.tube.helix_diameter / 2.0
-    floats = chain.drag[:-1] > 0.0
+    floats = np.arange(chain.node_count - 1) % 4 == 0
+    edges = pitch * np.arange(floats.sum() + 1)
+    drags = chain.drag[:-1][floats] * relative * abs(relative)
+    drags *= drag_factors(scene, edges, scene.inserted_length, scene.feed_speed, exit_speed)
+    forward = 1.0 if scene.feed_speed >= 0.0 else -1.0
     tension, tensions = 0.0, []
-    for drag, lever in zip(chain.drag[:-1][floats] * relative * abs(relative), chain.lever[:-1][floats], strict=True):
+    for drag, lever in zip(drags, chain.lever[:-1][floats], strict=True):
         side = 1.0 if (tension or drag) >= 0.0 else -1.0
-        mu = chain.friction * (1.0 - side * lever / radius) * (side if scene.feed_speed >= 0.0 else -side)
-        if mu == 0.0:
+        mu = chain.friction * (1.0 - side * lever / radius) * side * forward
+        if weight > 0.0:
+            tension = _weighed(tension, drag / pitch, forward * chain.friction, lever / radius, radius, weight, pitch)
+        elif mu == 0.0:
             tension += drag
         else:
             limit = drag / pitch * radius / mu
             tension = limit + (tension - limit) * math.exp(-mu * pitch / radius)
         tensions.append(tension)
     return np.array(tensions)
+
+
+def _weighed(
+    tension: float, drag: float, friction: float, lever: float, radius: float, weight: float, pitch: float
+) -> float:
+    """Tension a pitch further with the weight, see ``steady_tensions``: a Runge-Kutta step of order 4."""
+
+    def slope(at: float) -> float:
+        return drag - friction * (math.hypot(at / radius, weight) - lever * at / radius)
+
+    first = slope(tension)
+    second = slope(tension + 0.5 * pitch * first)
+    third = slope(tension + 0.5 * pitch * second)
+    return tension + pitch / 6.0 * (first + 2.0 * second + 2.0 * third + slope(tension + pitch * third))
 
 
 def buckling_load(probe: Probe) -> float:
@@ -79,7 +114,8 @@ def tension_for_straight(scene: Scene, length: float, incline: float = math.pi /
 
     At constant speed the feed device restrains the cable with T - (m g (sin a + mu cos a) - q) L, with the root tension
     T in the helix, the cable's weight m g and the drag q per metre. It cannot push, so this force must not be negative.
-    Bends between the two divide it by exp(mu phi), which does not change its sign.
+    Bends between the two divide it by exp(mu phi), which does not change its sign. Compressible air is denser in the
+    straight part, and its drag is less.
 
     Args:
         scene: probe, air, friction, feed speed and air supply; the straight part has the bore of its tube.
@@ -91,17 +127,20 @@ def tension_for_straight(scene: Scene, length: float, incline: float = math.pi /
     """
     within("length", length, 0.0, 1e4, "m")
     within("incline", incline, -math.pi / 2.0, math.pi / 2.0, "rad")
-    wind = air_speed(scene, scene.air_supply_rate) - scene.feed_speed
+    exit_speed = air_speed(scene, scene.air_supply_rate)
+    wind = exit_speed - scene.feed_speed
     weight = scene.probe.line_density * GRAVITY
     uphill = weight * (math.sin(incline) + scene.contact.friction * math.cos(incline))
-    return max(uphill - drag_per_metre(scene) * wind * abs(wind), 0.0) * length
+    ends = scene.inserted_length + np.array([0.0, length])
+    factor = float(drag_factors(scene, ends, scene.inserted_length, scene.feed_speed, exit_speed)[0])
+    return max(uphill - factor * drag_per_metre(scene) * wind * abs(wind), 0.0) * length
 
 
 def friction_from_tension(measurements: Mapping[str, FloatArray], scene: Scene) -> FloatArray:
     """Friction coefficient (n,) at which steady sliding has the measured root tension, by bisection.
 
     Between tip and root dT/ds = q - mu' T / r, mu' = mu (1 - d_f / d_h), with the drag q per metre of the guide, then
-    of the carrier. Tension decreases with friction.
+    of the carrier, in air of uniform pressure. Tension decreases with friction.
 
     Args:
         measurements: ``MEASURED``, (n,) each; also ``SHAPE`` if the probe is not that of the scene.

@@ -12,6 +12,7 @@ from probe_env.physics.methods.implicit import Implicit
 from probe_env.physics.methods.method import Method
 from probe_env.physics.methods.newmark import Newmark, Solver, Wilson
 from probe_env.physics.methods.superelement.group import Superelement, Superelement32
+from probe_env.scene import Scene
 
 METHODS: Final[dict[str, Method]] = {
     method.name: method
@@ -53,6 +54,13 @@ def check_step(method: Method, time_step: float) -> None:
             f"time_step = {time_step!r} s is below {method.least_step:g} s, where the rounding of {method.name} shows:"
             f" {names_of(lambda other: other.least_step == 0.0)} have no such limit"
         )
+
+
+def check_scene(method: Method, scene: Scene) -> None:
+    """Raise ValueError if a method does not simulate an option of a scene."""
+    if scene.air.compressible and not method.simulates_expansion:
+        able = names_of(lambda other: other.simulates_expansion)
+        raise ValueError(f"air.compressible = true: {method.name} does not simulate it; use {able}")
 
 
 def names_of(which: Callable[[Method], bool]) -> str:

@@ -57,6 +57,7 @@ class Method(ABC):
         memory: numbers per node that it stores between steps.
         on_nodes: whether its mesh has ``nodes_per_pitch`` nodes; equal meshes give equal solutions.
         simulates_withdrawal: whether it simulates compression on the outer wall, and nodes that leave at the root.
+        simulates_expansion: whether the drag may differ between equal floats, as in compressible air.
     """
 
     name: str
@@ -68,6 +69,7 @@ class Method(ABC):
     memory: int = 3
     on_nodes: bool = True
     simulates_withdrawal: bool = True
+    simulates_expansion: bool = True
 
     @property
     def width(self) -> int:

@@ -104,9 +104,67 @@ def build_chain(scene: Scene, nodes_per_pitch: int = 4, length: float | None = N
 
 
 def air_speed(scene: Scene, air_supply_rate: float) -> float:
-    """Air speed between cable and tube, Q / (a - A_c) of (10) [m/s]."""
+    """Air speed between cable and tube, Q / (a - A_c) of (10) [m/s]; of compressible air at the exit."""
     area = math.pi * (scene.tube.inner_diameter**2 - scene.probe.cable_diameter**2) / 4.0
     return air_supply_rate / area
+
+
+def air_pressure(scene: Scene, distance: FloatArray, length: float, feed_speed: float, exit_speed: float) -> FloatArray:
+    """Absolute pressure of expanding air (n,) [Pa], in steady isothermal flow of constant mass.
+
+    Density rho and air speed w follow the pressure p: rho = rho_e p / p_e and w = w_e p_e / p, with the values at the
+    exit: ``air.density``, ``exit_speed`` and ``air.exit_pressure``. The air loses what it gives to the floats, q per
+    metre, over the free cross-section a - A_c, and what the wall takes, whose shear f rho w^2 / 8 acts on pi d_in:
+
+        -dp/dx = q / (a - A_c) + f rho w^2 / 2 * d_in / (d_in^2 - d_c^2),    q = q_e p_e / p.
+
+    Both terms are proportional to 1 / p, so p^2 is linear along equal floats:
+
+        p^2 = p_e^2 + 2 p_e * integral from the exit to x of the right-hand side with q_e, rho_e and w_e.
+
+    The exit is the end of the helix; if the air flows towards the feed device, it is the entrance. Ahead of the tip
+    only the wall takes pressure. Neglected are the acceleration of the air, rho w^2 / p of the pressure drop (2 % at 63
+    m3/h), the change of u / w along the tube (2 u / w of the drag, 1 %), and the time in which pressure builds up.
+
+    Args:
+        scene: tube, probe and air; its length, feed speed and air supply are not used.
+        distance: (n,) behind the tip, from 0 [m].
+        length: of the cable in the helix [m].
+        feed_speed: [m/s].
+        exit_speed: air speed between cable and tube at the exit, see ``air_speed`` [m/s].
+    """
+    tube, probe, air = scene.tube, scene.probe, scene.air
+    bore, cable = tube.inner_diameter**2, probe.cable_diameter**2
+    friction = 0.5 * air.darcy_factor * air.density * exit_speed**2
+    wall = friction * tube.inner_diameter / (bore - cable)
+    empty = friction * ((bore - cable) / bore) ** 2 / tube.inner_diameter
+    relative = exit_speed - feed_speed
+    forward = exit_speed >= 0.0
+    pull = 0.5 * air.drag_coefficient * air.density * relative * abs(relative) * (1.0 if forward else -1.0)
+    guide, carrier = (
+        pull * (diameter**2 - cable) / (bore - cable) / probe.float_pitch + wall
+        for diameter in (probe.guide_float_diameter, probe.carrier_float_diameter)
+    )
+    border = probe.guide_length + probe.float_pitch  # the float at the sensor is one of the guide
+
+    def drop(x: FloatArray | float) -> FloatArray:
+        return np.asarray(guide * np.minimum(x, border) + carrier * np.maximum(np.subtract(x, border), 0.0))
+
+    dropped = drop(distance) + empty * (tube.helix_length - length) if forward else drop(length) - drop(distance)
+    return np.asarray(np.sqrt(air.exit_pressure**2 + 2.0 * air.exit_pressure * np.maximum(dropped, 0.0)))
+
+
+def drag_factors(scene: Scene, edges: FloatArray, length: float, feed_speed: float, exit_speed: float) -> FloatArray:
+    """Mean of p_e / p (n,) between ascending distances from the tip (n + 1,), the drag there over that at the exit.
+
+    As p^2 is linear, the mean is 2 p_e / (p_1 + p_2), and without friction of the wall the drag of all floats is
+    exactly the pressure drop times the free cross-section. All 1 if the air is not compressible. Arguments as in
+    ``air_pressure``.
+    """
+    if not scene.air.compressible:
+        return np.ones(len(edges) - 1)
+    pressure = air_pressure(scene, edges, length, feed_speed, exit_speed)
+    return np.asarray(2.0 * scene.air.exit_pressure / (pressure[:-1] + pressure[1:]))
 
 
 def sensor_node(scene: Scene, nodes_per_pitch: int) -> int:

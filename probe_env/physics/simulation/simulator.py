@@ -12,9 +12,9 @@ import numpy as np
 
 from probe_env.arrays import FloatArray
 from probe_env.errors import SimulationError, StabilityWarning
-from probe_env.physics.methods import check_step, method_named, names_of
+from probe_env.physics.methods import check_scene, check_step, method_named, names_of
 from probe_env.physics.methods.method import Lane, Method
-from probe_env.physics.model.chain import air_speed, build_chain, outer_start, sensor_node
+from probe_env.physics.model.chain import air_speed, build_chain, drag_factors, outer_start, sensor_node
 from probe_env.physics.model.drive import Drive
 from probe_env.physics.model.state import State, at_rest, check_points, check_state
 from probe_env.physics.simulation.run import Recorder, Run, Samples, node_of, progress_bar, snapshot_steps
@@ -68,9 +68,10 @@ def advance_group(simulators: Sequence[Simulator], samples: Sequence[Samples], d
         lanes = []
         for s, record in running:
             room, spare = s.chain.node_count - 1 - s.root, max(s.root - s.sensor - nodes_per_pitch, 0)
+            constants = s.constants_in_air()
             inputs = s.drive.inputs_of_steps(count, time_step, s.chain.element_length, room, spare)
             rows = record.rows[first // every : (first + count) // every]  # to be filled in this call
-            lanes.append(Lane(s.constants, s.state, s.root, inputs, record.points, rows, record.tension_sum))
+            lanes.append(Lane(constants, s.state, s.root, inputs, record.points, rows, record.tension_sum))
         seconds += simulators[0].method.run(lanes, time_step, nodes_per_pitch, every - first % every, every)
         for (s, _), lane in zip(running, lanes, strict=True):
             s.steps_done += lane.failed or count
@@ -137,6 +138,7 @@ class Simulator:
         self.method: Final = method_named(method, settings["solver"])
         within("time_step", time_step, 0.0, 1.0, "s", exclude_low=True)
         check_step(self.method, time_step)
+        check_scene(self.method, scene)
         within("time_lapse", settings["time_lapse"], 1.0, 1000.0, "")
         within("ramp", settings["ramp"], 0.0, math.inf, "m/s2", exclude_low=True)
         within("air_lag", settings["air_lag"], 0.0, 1e3, "s")
@@ -293,6 +295,19 @@ class Simulator:
 
     def _constants(self) -> Any:
         return self.method.constants(self.chain, self.sensor, self.nodes_per_pitch, self.time_step)
+
+    def constants_in_air(self) -> Any:
+        """Constants of the kernel with the drag at the present length, feed and air; used for one kernel call."""
+        if not self.scene.air.compressible:
+            return self.constants
+        drag = self.chain.drag.copy()
+        floats = drag[:: self.nodes_per_pitch]
+        floats *= drag_factors(
+            self.scene, self.scene.probe.float_pitch * np.arange(len(floats) + 1), self.length_in_helix,
+            self.drive.feed_speed, self.drive.air_speed,
+        )  # fmt: skip
+        chain = self.chain._replace(drag=drag)
+        return self.method.constants(chain, self.sensor, self.nodes_per_pitch, self.time_step)
 
     def __repr__(self) -> str:
         return (

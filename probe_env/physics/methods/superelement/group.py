@@ -137,13 +137,18 @@ def root_tables(group: Sequence[Tables], width: int, even: int, odd: int, rows: 
     return stacked
 
 
-def floats_of(parameters: FloatArray, table: Tables, count: int) -> FloatArray:
-    """(count, FLOATS) parameters of floats from the tip: guide floats up to the sensor, carrier floats beyond."""
+def floats_of(parameters: FloatArray, drag: FloatArray | None, table: Tables, count: int) -> FloatArray:
+    """(count, FLOATS) parameters of floats from the tip: guide floats up to the sensor, carrier floats beyond.
+
+    ``drag`` is that of every float (n,), or None if it is equal within guide and carrier.
+    """
     guide = np.arange(count) - 0.5 < parameters[SENSOR]
     rows = np.zeros((count, FLOATS))
     kinds = ((GUIDE_LEVER, CARRIER_LEVER), (GUIDE_GAP, CARRIER_GAP), (GUIDE_DRAG, CARRIER_DRAG))
     for at, (near, far) in zip((LEVER, GAP, DRAG), kinds, strict=True):
         rows[:, at] = np.where(guide, parameters[near], parameters[far])
+    if drag is not None:
+        rows[: len(drag), DRAG] = drag[:count]
     rows[1:, BEHIND] = table.pieces[-1, HALF_MASS]
     return rows
 
@@ -223,8 +228,10 @@ class Superelement(LaneMethod):
                 state.memory[first + count, :MOMENTUM] += tau * right
         return state
 
-    def constants(self, chain: Chain, sensor: int, nodes_per_pitch: int, time_step: float) -> tuple[FloatArray, Tables]:
-        """Parameters and tables of a probe.
+    def constants(
+        self, chain: Chain, sensor: int, nodes_per_pitch: int, time_step: float
+    ) -> tuple[FloatArray, Tables, FloatArray | None]:
+        """Parameters and tables of a probe, and the drag of each float if it differs within guide or carrier.
 
         Raises:
             ValueError: contact of the cable, or a couple from the tangent.
@@ -239,18 +246,21 @@ class Superelement(LaneMethod):
         values[[GUIDE_DRAG, CARRIER_DRAG]] *= chain.mass  # forces, not per mass
         values[STIFFNESS], values[MASS_RATIO], values[TENSION] = table.stiffness, 1.0, table.most_tension
         values[SENSOR] = sensor // nodes_per_pitch
-        return values, table
+        drag = chain.drag[:-1:nodes_per_pitch]
+        first = int(values[SENSOR]) + 1  # float of the carrier
+        equal = all(np.ptp(part) == 0.0 for part in (drag[:first], drag[first:]) if len(part))
+        return values, table, None if equal else drag
 
-    def kind(self, constants: tuple[FloatArray, Tables]) -> Hashable:
+    def kind(self, constants: tuple[FloatArray, Tables, FloatArray | None]) -> Hashable:
         """Numbers of modes of the kernel: kernels with other numbers round differently."""
         return room(constants[1])
 
     def run(
         self, lanes: Sequence[Lane], time_step: float, nodes_per_pitch: int, first_sample: int, sample_every: int
     ) -> float:
-        """See ``Method.run``."""
-        if len(lanes) == 1:
-            return self._run_single(lanes[0], time_step, nodes_per_pitch, first_sample, sample_every)
+        """See ``Method.run``; the kernel of a group has one drag of all guide and one of all carrier floats."""
+        if len(lanes) == 1 or any(lane.constants[2] is not None for lane in lanes):
+            return sum(self._run_single(lane, time_step, nodes_per_pitch, first_sample, sample_every) for lane in lanes)
         per_pitch, members = nodes_per_pitch, [lane.constants[1] for lane in lanes]
         even, odd = room(members[0])
         used, width, precision = len(lanes), self.width, self.precision
@@ -282,7 +292,7 @@ class Superelement(LaneMethod):
 
     def _run_single(self, lane: Lane, time_step: float, per_pitch: int, first_sample: int, sample_every: int) -> float:
         """``run`` for a single probe, whose floats are in the lanes."""
-        values, table = lane.constants
+        values, table, drag = lane.constants
         (even, odd), width, precision = room(table), self.width, self.precision
         fields = MODES + 2 * (even + odd)
         last_float = (lane.root + int(lane.inputs[:, APPEND].sum()) - 1) // per_pitch
@@ -301,7 +311,7 @@ class Superelement(LaneMethod):
         links = np.zeros((len(table.factors) + 1, LINKS), dtype=precision)
         links[:-1] = table.factors[:, E_SIZE:]
         tension = np.zeros(len(rows) if len(lane.tension_sum) else 0)
-        floats = in_blocks(floats_of(values, table, len(rows)), width, precision)
+        floats = in_blocks(floats_of(values, drag, table, len(rows)), width, precision)
         begin = time.perf_counter()
         lane.failed, lane.root = self.single(
             parameters, constants, factors, links, floats, ((0,) * even, (0,) * odd), state,
