@@ -168,8 +168,8 @@ def _from_csv(path: Path) -> tuple[str, list[Row]]:
             line = first + table.line_num
             if not any(map(str.strip, row)):
                 continue
-            if header and len(row) == len(header) + 1 and not row[-1].strip():  # a comma behind the last value
-                row.pop()
+            if header and not any(map(str.strip, row[len(header) :])):  # commas behind the last value
+                del row[len(header) :]
             if not header:
                 header = _header(path, line, row)
             elif len(row) != len(header):

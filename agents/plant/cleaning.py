@@ -153,7 +153,8 @@ def _merged(channels: Channels, rows: IntArray, bounds: Bounds) -> tuple[FloatAr
     """Time from 0, values averaged over rows of equal time, and the first row of each, for the rows with a time."""
     table, k = channels.table, channels.indices["time"]
     if len(rows) < 2:
-        raise table.error(0, f"{len(rows)} rows have a time: at least two are needed", k)
+        problem = f"{len(rows)} rows have a time" if len(rows) else "the whole column is empty"
+        raise table.error(0, f"{problem}: at least two rows with a time are needed", k)
     number = not channels.written_out
     unit = f"is the unit of time right? - declare it, --columns '{plain(split_head(table.heads[k])[0])}=time[UNIT]'"
     time = np.round(channels.time[rows] - channels.time[rows[0]], DIGITS)

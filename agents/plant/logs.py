@@ -139,6 +139,7 @@ def read_log(
         hint = "correct the file, or raise --tolerance for a noisy encoder"
         if np.median(speed) > RANGES[FEED][1]:
             hint = "are the units of time and length right? --columns 'HEAD=time[UNIT]' declares one"
+            hint = next((note.rstrip(".") for note in channels.notes if "mm:ss" in note), hint)
         first, last = whole.rows[rows[k : k + 2]]
         limit = f"the fastest feed is {RANGES[FEED][1]:g} m/s"
         raise table.error_between(first, last, f"{problem}, but {limit} - {hint}")

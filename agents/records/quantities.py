@@ -105,8 +105,8 @@ _SHAPE: Final = re.compile(r"[A-Za-zµ_]+(?:\*\*-?[1-3])?(?:[*/ ][A-Za-zµ_]+(?:
 _WORDS: Final = {
     "sek": "s", "sec": "s", "sekunden": "s", "minuten": "min", "std": "h", "stunden": "h", "tage": "d",
     "msec": "ms", "hrs": "h",
-    "scfm": "ft**3/min", "cfm": "ft**3/min", "acfm": "ft**3/min", "scfh": "ft**3/h",
-    "slpm": "l/min", "lpm": "l/min", "nlpm": "l/min", "slm": "l/min",
+    "scfm": "ft**3/min", "cfm": "ft**3/min", "acfm": "ft**3/min", "scfh": "ft**3/h", "cfh": "ft**3/h",
+    "slpm": "l/min", "lpm": "l/min", "nlpm": "l/min", "slm": "l/min", "lps": "l/s",
     "fpm": "ft/min", "fps": "ft/s", "ipm": "inch/min", "ips": "inch/s", "cmh": "m**3/h",
     "kn": "kN", "dan": "daN", "kp": "kgf",
 }  # fmt: skip
@@ -202,13 +202,13 @@ def si_factor(unit: str, quantity: Quantity) -> float:
     import pint
 
     problems: list[Exception] = []
-    any_case = text.isupper() or (text.istitle() and len(text) > 3)
+    any_case = text.isupper() or text.istitle()
     for spelling in dict.fromkeys((text, text.lower() if any_case else text)):
         try:
             return float(pint.Quantity(1.0, pint.Unit(spelling)).to(quantity.si).magnitude)
         except (pint.PintError, ValueError, TypeError, ArithmeticError, AttributeError) as error:
             problems.append(error)
-    if isinstance(problems[0], pint.DimensionalityError):
+    if any(isinstance(problem, pint.DimensionalityError) for problem in problems):
         raise ValueError(f"{unit!r} is not a unit of {quantity.name} - {scale}")
     raise UnknownUnitError(f"the unit {unit!r} is unknown - {spell}") from problems[0]
 

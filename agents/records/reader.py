@@ -79,7 +79,8 @@ _SPACED_TIME: Final = (
 _END_PIPES: Final = r"^\s*\||\|\s*$"
 _NUMBER_OR_TIME: Final = re.compile(r"[+-]?[\d.,'  ]*\d[\d.,'  ]*(?:[eE][+-]?\d+)?|\d[\d:.,TZ +-]*:[\d:.,TZ +-]*")
 _MARKER: Final = re.compile(
-    r"-?(?:9{4,}(?:\.(?:25|9+))?|999\.25|32767|65535|2147483647)|-(?:999(?:\.9+)?|99\.9+|32768|2147483648)"
+    r"-?(?:9{4,}(?:\.(?:25|9+))?|999\.25|[67]999|32767|65535|2147483647)"
+    r"|-(?:999(?:\.9+)?|99\.9+|8888|888\.88|32768|2147483648)"
 )
 """Numbers that loggers write for a missing value; 2147483647 is that of 32 bits."""
 MOST_NUMBER: Final = 1e30
@@ -90,6 +91,8 @@ SUSPECT: Final = ("air_supply", *MEASURED)
 """Quantities whose accepted range is wide enough for overload codes."""
 FAR: Final = 10.0
 """Ratio of an overload code to the largest other value."""
+_HOURS: Final = re.compile(r"(?:h{1,2}|std):m(?:m|in)", re.IGNORECASE)
+"""Units of a clock time without seconds: hh:mm."""
 _SPACES: Final = "[ '’\u00a0\u2009\u202f]"
 _POWER: Final = r"(?:[eE][+-]?\d+)"
 
@@ -210,8 +213,8 @@ def _schedule_rows(path: Path) -> tuple[str, list[tuple[str, dict[str, float]]]]
         if "--" not in error.problem:  # an option of other commands
             raise
         problem = re.sub(r"(?:,|:|;| -) (?:or )?[^,:;-]*?[,:]? ?--.*", "", error.problem)
-        hint = "correct the file: a schedule has heads like 'length [m]', 'feed [m/s]' and 'air [m3/h]'"
-        raise FileError(path, f"{problem} - {hint}") from error
+        hint = " - correct the file: a schedule has heads like 'length [m]', 'feed [m/s]' and 'air [m3/h]'"
+        raise FileError(path, problem + hint * (" - " not in problem)) from error
     for name, column in values.items():
         if (empty := np.isnan(column)).any():
             raise table.error(int(empty.argmax()), "no value", indices[name])
@@ -266,6 +269,9 @@ def _convert(
     days, written_out = None, False
     try:
         if "time" in indices:
+            unit = units.get("time") or _written_unit(table, indices["time"])
+            if not time_format and _HOURS.fullmatch(unit) and matches(cells["time"], MINUTES).any():
+                time_format = "%H:%M"
             if date is not None:
                 days = days_of(table.columns[date], cells["time"], time_format)
             first = cells["time"].filter(pa.array(~matches(cells["time"], MISSING)))[:1]
@@ -302,6 +308,11 @@ def _convert(
                 elif len(present) and 0.0 < np.ptp(present) < SHORTEST_STEP * (len(present) - 1):
                     problem = f"without a unit, rows are less than {SHORTEST_STEP:g} s apart"
                     raise CellError(0, f"{problem}: declare it, --columns '{plain(head)}=time[UNIT]' (s, min, h or d)")
+                elif missing is None:
+                    hint = f"declare it, --columns '{plain(head)}=time[UNIT]'"
+                    raise FileError(table.path, f"column {head!r} has no unit: {hint}")
+                else:
+                    notes.append(f"The column {head!r} has no unit and is read as seconds.")
             values[name] = _in_range(QUANTITIES[name], read * factors[name])
         if fraction is not None and "time" in values:
             column = fraction
@@ -547,7 +558,11 @@ def _columns(
         if separator == "|":
             lines = pc.replace_substring_regex(lines, _END_PIPES, "")
         end = re.escape(separator) + r"[ ]*$"
-        closed = np.asarray(pc.count_substring(lines, separator)) == count  # a separator after the last cell
+        counts = np.asarray(pc.count_substring(lines, separator))
+        # LabVIEW writes a comment in some rows only; behind commas, decimal commas would look like one
+        if heads[-1].casefold() == "comment" and separator != "," and (counts == count - 2).any():
+            lines = pc.if_else(pa.array(counts == count - 2), pc.replace_substring_regex(lines, "$", separator), lines)
+        closed = counts == count  # a separator after the last cell
         if (closed & matches(lines, end)).any():
             lines = pc.if_else(pa.array(closed), pc.replace_substring_regex(lines, end, ""), lines)
         cells = pc.split_pattern(lines, separator)
@@ -730,7 +745,9 @@ def _numbers(cells: Any, sign: str) -> FloatArray:
     if not good.all() and other in cells[int((~good).argmax())].as_py():
         hint = f" with the decimal sign {sign!r} of the other numbers{hint}"
     word = next((text for text in cells.filter(pa.array(~good))[:1].to_pylist() if re.search("[A-Za-z]", text)), "")
-    if word and word.isprintable():
+    if re.fullmatch(r"[+-]?\d[\d.,]*\s*[A-Za-z/]+", word):
+        hint = " - a unit belongs in the heading: correct it"
+    elif word and word.isprintable():
         hint += f", or if it marks a missing value, --missing={shlex.quote(word[:40])}"
     check(cells, good, f"is not a finite number{hint}")
     return values

@@ -10,6 +10,7 @@ import pytest
 
 from agents.plant.cleaning import Bounds
 from agents.plant.logs import read_log
+from agents.records.reader import read_schedule
 from probe_env.files import FileError
 
 HEAD = "time [s];length [m];feed [m/s];air [m3/h]"
@@ -165,6 +166,7 @@ FOREIGN = {
     "a form of time below": lines(head="Time;Length;Feed;Air\nhh:mm:ss;m;m/s;m³/h", row=CLOCK, c="%H:%M:%S"),
     "objects below": lines(head="time;length;feed;air\ns;m;m/s;m3/h\n;probe-a;probe-a;probe-a"),
     "a last head that no row fills": lines(head=HEAD + ";Comment"),
+    "a comment in some rows": lines(head=HEAD + ";Comment").replace("63.0", "63.0;start", 1),
     "capital units": lines(
         head="TIME (SEC);LENGTH (MM);FEED (M/MIN);AIR FLOW (SLPM)", row="{t};{mm};12.0;1050"
     ),
@@ -199,7 +201,7 @@ def test_foreign_files_are_read_as_they_are_meant(tmp_path):
             assert log.inserted_length == pytest.approx([5.0, 5.2, 5.4, 5.6], abs=2e-6)
             assert log.feed_speed == pytest.approx([0.2] * 4, abs=1e-5)
             assert log.air_supply_rate == pytest.approx([63.0 / 3600.0] * 4, rel=1e-6)
-            assert log.notes == ()  # the speed column agrees
+            assert all("is read as seconds" in note for note in log.notes)  # the speed column agrees
         except (AssertionError, ValueError) as error:
             failures[name] = error
     assert not failures
@@ -398,7 +400,10 @@ RAMP = pytest.approx([2.0, 2.1, 2.2, 2.3, 2.4, 2.5, 2.6, 2.7])
 
 def test_markers_of_missing_values_are_interpolated_and_counted(tmp_path):
     path = tmp_path / "rig.csv"
-    for marker in ("-999.25", "-9999", "9999", "-999", "32767", "9.9E+37", "1.#QNAN", "-1.#IND", "-nan(ind)", "NAN"):
+    for marker in (
+        "-999.25", "-9999", "9999", "-999", "-7999", "6999", "-888.88", "32767", "9.9E+37", "1.#QNAN", "-1.#IND",
+        "-nan(ind)", "NAN",
+    ):  # fmt: skip
         for cells in ([marker, "2.4"], [marker, marker]):
             log = read_log(rig(path, [*TENSIONS[:3], *cells, *TENSIONS[5:]]))
             assert log.measured["root_tension"] == RAMP, marker
@@ -411,6 +416,12 @@ def test_markers_of_missing_values_are_interpolated_and_counted(tmp_path):
     las = "~V\nVERS. 2.0:\n~W\nNULL. -1 :\n~C\nTIME.S:\nLENGTH.M:\nAIR.M3/H:\nTENSION.N:\n~A\n"
     path.write_text(las + "\n".join(f"{k} {5 + 0.2 * k:.1f} 63 {-1 if k == 3 else 2 + 0.1 * k}" for k in range(8)))
     assert read_log(path).measured["root_tension"] == RAMP
+
+
+def test_a_unit_behind_a_number_is_no_marker(tmp_path):
+    path = rig(tmp_path / "rig.csv", [f"{tension} N" for tension in TENSIONS])
+    with pytest.raises(FileError, match=r"line 2, column 'tension \[N\]': '2.0 N' is not a.* heading: correct it$"):
+        read_log(path)
 
 
 def test_a_marker_among_like_numbers_is_a_number(tmp_path):
@@ -451,6 +462,22 @@ def test_minutes_and_seconds(tmp_path):
     )
     assert log.time[-1] == 120.0
     assert log.notes[0].startswith("The speed column and the encoder disagree")
+    path.write_text("Time [hh:mm];length [m];air [m3/h]\n9:58;5;63\n9:59;5.2;63\n10:00;5.4;63")
+    assert read_log(path, bounds=Bounds(gap=60.0)).time[-1] == 120.0
+    path.write_text("Time;length [m];air [m3/h]\n9:58;5;63\n9:59;11;63\n10:00;17;63")
+    with pytest.raises(FileError, match=r"the fastest feed is 2 m/s - The column 'Time' is read as mm:ss; for hh:mm"):
+        read_log(path)
+
+
+def test_times_without_a_unit_are_seconds_in_logs_only(tmp_path):
+    path = tmp_path / "plan.csv"
+    path.write_text(lines(head=HEAD.replace("time [s]", "Time")))
+    assert read_log(path).notes == ("The column 'Time' has no unit and is read as seconds.",)
+    path.write_text("Time;feed [m/s];air [m3/h]\n0;0.3;63\n1;0.2;63")
+    with pytest.raises(FileError, match="column 'Time' has no unit - correct the file: a schedule has heads like"):
+        read_schedule(path)
+    path.write_text("Time [hh:mm];feed [m/s];air [m3/h]\n0:00;0.3;63\n0:05;0.2;63")
+    assert read_schedule(path).position == (0.0, 300.0)
 
 
 def test_the_form_of_times_is_declared(tmp_path):
@@ -477,7 +504,7 @@ def test_a_feed_that_is_not_needed_is_left_out(tmp_path):
         ("speed [m/s]", "auto", "line 2, column 'speed [m/s]': 'auto' is not a finite number."),
         ("speed [m/s]", "", "the feed speed, line 2, column 'speed [m/s]': no value in the whole column."),
     ):
-        path.write_text(lines(head=f"time;length [m];{feed};air [m3/h]", row=f"{{t}};{{x}};{value};{{a}}"))
+        path.write_text(lines(head=f"time [s];length [m];{feed};air [m3/h]", row=f"{{t}};{{x}};{value};{{a}}"))
         log = read_log(path)
         assert log.notes == (f"Left out, as there is an encoder: {problem}",)
         assert log.feed_speed == pytest.approx([0.2] * 4, abs=1e-5)
@@ -518,7 +545,7 @@ def test_a_wrong_unit_is_not_repaired_by_declaring_another(tmp_path):
             read_log(path, columns)
         assert str(caught.value).endswith(f"column 'tension [V]': {wrong}--columns 'tension=none'")
     assert "root_tension" not in read_log(path, ("tension=none",)).measured
-    for unit in ("%", "°C", "1/min", "rpm", "bar"):
+    for unit in ("%", "°C", "1/min", "rpm", "bar", "RPM", "PSI", "LBS"):
         with pytest.raises(FileError, match=f"'{unit}' is not a unit of root_tension - convert the column to N"):
             read_log(rig(path, TENSIONS, head=f"tension [{unit}]"), ("tension=root_tension[N]",))
 

@@ -95,12 +95,14 @@ def test_units_convert():
             "Nm³/h": 1 / 3600.0, "l/min": 1e-3 / 60.0, "Nl/min": 1e-3 / 60.0, "m^3/s": 1.0, "ft3/min": 0.3048**3 / 60.0,
             "SCFM": 0.3048**3 / 60.0, "cfm": 0.3048**3 / 60.0, "SLPM": 1e-3 / 60.0, "M3/H": 1 / 3600.0,
             "NM3/H": 1 / 3600.0, "Sm3/h": 1 / 3600.0, "ACFM": 0.3048**3 / 60.0,
+            "CFH": 0.3048**3 / 3600.0, "lps": 1e-3,
         },
         "root_tension": {"kN": 1e3, "lbf": 4.4482216152605, "LBF": 4.4482216152605, "KN": 1e3, "daN": 10.0},
         "radial_acceleration_rms": {"g": 9.80665, "mg": 9.80665e-3, "m/s² rms": 1.0},
         "rf_noise_rms": {"µm": 1e-6, "μm": 1e-6},
-        "inserted_length": {"mm": 1e-3, "ft": 0.3048},
-        "time": {"ms": 1e-3, "S": 1.0, "MIN": 60.0, "d": 86400.0, "Seconds": 1.0, "Std.": 3600.0, "sek": 1.0},
+        "inserted_length": {"mm": 1e-3, "ft": 0.3048, "Ft": 0.3048, "Cm": 1e-2},
+        "time": {"ms": 1e-3, "S": 1.0, "MIN": 60.0, "d": 86400.0, "Seconds": 1.0, "Std.": 3600.0, "sek": 1.0,
+                 "Min": 60.0, "Hr": 3600.0},
     }  # fmt: skip
     found = {name: {unit: si_factor(unit, QUANTITIES[name]) for unit in units} for name, units in expected.items()}
     for name, units in expected.items():

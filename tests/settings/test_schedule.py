@@ -62,7 +62,7 @@ def test_a_log_with_time_and_length_is_a_schedule_over_time(tmp_path):
 
 def test_commas_behind_the_last_value_and_empty_rows_are_skipped(tmp_path):
     path = tmp_path / "schedule.csv"
-    path.write_text(HEAD.replace("\n", ",\n") + "5,0.4,63,\n25,0.15,100,\n,,\n,,,\n")
+    path.write_text(HEAD.replace("\n", ",\n") + "5,0.4,63,\n25,0.15,100,,,\n,,\n,,,\n")
     assert Schedule.read(path).feed_speed == (0.4, 0.15)
 
 
