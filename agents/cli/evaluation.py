@@ -71,10 +71,12 @@ class Evaluate:
             print_line(f"written: {report_again(folder, self.against)}")
             return
         arguments: dict[str, Any] = vars(self) | {"fidelity": parse_fidelity(self.fidelity)}
-        if len(self.policies) == 1 and is_schedule_file(self.policies[0]) and not self.strict:
-            print(f"{BAR} is added for comparison")
+        lone = len(self.policies) == 1 and is_schedule_file(self.policies[0]) and not self.strict
+        if lone:
             arguments |= {"policies": (*self.policies, BAR), "against": self.against or BAR}
         evaluate(**arguments)
+        if lone:
+            print(f"{BAR} was added for comparison")
 
 
 @dataclass(frozen=True)
