@@ -191,7 +191,7 @@ class Agent:
             start = np.ones(len(rows), dtype=bool)
         else:
             start = np.zeros(len(rows), dtype=bool) if episode_start is None else np.asarray(episode_start, dtype=bool)
-        act = self._hold if self.description.task.own_actions else self._act
+        act = self._hold if self.description.task.custom_actions else self._act
         applied, state = act(rows, state, start, deterministic)
         if self._other_ranges:
             applied = self.config.actions(*self.description.task.targets(applied).T).astype(np.float32)

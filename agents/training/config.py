@@ -129,7 +129,7 @@ class Training(Model):
             raise PydanticCustomError("imitation", f"imitation needs algorithm = 'ppo' (not {self.algorithm!r})")
         targets = "guide", "least_air_supply_rate", "imitation"
         refused = [name for name in targets if getattr(self, name)]
-        if self.task.own_actions and refused:
+        if self.task.custom_actions and refused:
             text = f"{refused[0]} needs actions that are targets for one control period: probe_env/Insertion-v1"
             raise PydanticCustomError("actions", text)
         if self.pretraining_steps and self.imitation is not None:

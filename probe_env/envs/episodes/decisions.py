@@ -43,7 +43,7 @@ def decide(episodes: Episodes, actions: npt.ArrayLike, active: BoolArray | None 
         RuntimeError: an active episode has ended and was not reset.
     """
     config = episodes.config
-    if not config.own_actions:
+    if not config.custom_actions:
         return episodes.step(actions, active)
     count = len(episodes)
     running = np.ones(count, dtype=bool) if active is None else np.array(active, dtype=bool)

@@ -229,7 +229,7 @@ class TaskConfig(Observation, Disturbances, Limits, Reward, Actuators, Timing, R
         return self
 
     @property
-    def own_actions(self) -> bool:
+    def custom_actions(self) -> bool:
         """Whether the environment differs from one target per control period and the unshaped reward."""
         return self.periods_per_action > 1 or self.change_per_action > 0.0 or self.shaping_weight > 0.0
 
