@@ -28,8 +28,9 @@ from agents.evaluation.statistics import bootstrap_ends
 from agents.evaluation.workers import HERE, Workers
 from agents.records.atomic import write_atomically
 from agents.records.drawing import BLUE, GRID, RED, save
+from agents.records.locks import run_lock
 from agents.records.manifest import commit, write_manifest
-from agents.records.searches import JOURNAL, open_study, run_lock
+from agents.records.searches import JOURNAL, open_study
 from agents.records.store import COMMIT
 from agents.terminal.tables import print_line, print_table
 from agents.terminal.work import Work, announce

@@ -107,9 +107,8 @@ class View(Model):
         repeated = np.tile(visible, len(self.averages))
         width = repeated.shape[1]
         before = repeated if memory is None else memory[:, :width]
-        gains = np.repeat(-np.expm1(-config.decision_period / np.array(self.averages)), visible.shape[1]).astype(
-            np.float32
-        )
+        shares = -np.expm1(-config.decision_period / np.array(self.averages))
+        gains = np.repeat(shares, visible.shape[1]).astype(np.float32)
         averages = np.where(new[:, None], repeated, before + gains * (repeated - before)).astype(np.float32)
         if self.guide is None:
             return np.concatenate([visible, averages], axis=1), averages

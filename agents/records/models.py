@@ -17,6 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic_core import PydanticCustomError
 
 from agents.records.atomic import named
+from agents.records.locks import run_lock
 from probe_env.files import MEBI, FileError, as_text, open_regular, read_text
 from probe_env.settings import explain
 
@@ -106,18 +107,22 @@ class Journal(Generic[S]):
 
     @contextmanager
     def appending(self) -> Iterator[Callable[[str], None]]:
-        """Context of a function that appends lines; they are on the disk when it returns."""
-        self.path.parent.mkdir(parents=True, exist_ok=True)
-        complete(self.path)
-        with self.path.open("ab") as file:
+        """Context of a function that appends lines; they are on the disk when it returns.
 
-            def append(lines: str) -> None:
-                with named(self.path):
-                    file.write(lines.encode())
-                    file.flush()
-                    os.fsync(file.fileno())
+        Raises:
+            FileError: another process works in the folder.
+        """
+        with run_lock(self.path.parent):
+            complete(self.path)
+            with self.path.open("ab") as file:
 
-            yield append
+                def append(lines: str) -> None:
+                    with named(self.path):
+                        file.write(lines.encode())
+                        file.flush()
+                        os.fsync(file.fileno())
+
+                yield append
 
 
 def complete(path: Path) -> None:

@@ -1,17 +1,15 @@
-"""Opens the Optuna study of a search in an append-only journal file, and locks its folder."""
+"""Opens the Optuna study of a search in an append-only journal file."""
 
 from __future__ import annotations
 
 import json
 import math
 import os
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, Final, Literal
 
 import optuna
-from filelock import FileLock, Timeout
 from optuna.storages import JournalStorage
 from optuna.storages.journal import JournalFileBackend
 from optuna.trial import TrialState
@@ -29,26 +27,6 @@ class _Journal(JournalFileBackend):
     def append_logs(self, logs: list[dict[str, Any]]) -> None:
         with named(self._file_path):
             super().append_logs(logs)
-
-
-@contextmanager
-def run_lock(folder: Path) -> Iterator[None]:
-    """Lock a folder against a second process; the system releases the lock when the process ends.
-
-    Raises:
-        FileError: another process works there.
-    """
-    folder.mkdir(parents=True, exist_ok=True)
-    lock = FileLock(folder / "lock", timeout=0)
-    try:
-        lock.acquire()
-    except Timeout as error:
-        raise FileError(folder, "another process is working there: wait for it, or choose another folder") from error
-    try:
-        yield
-    finally:
-        lock.release()
-        (folder / "lock").unlink(missing_ok=True)
 
 
 def open_study(

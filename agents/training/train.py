@@ -33,10 +33,10 @@ from agents.policies.bundle import ALGORITHMS, Agent, Description, write_bundle
 from agents.policies.policy import Policy, ranges_of
 from agents.policies.view import Rows, View
 from agents.records.atomic import write_atomically
+from agents.records.locks import run_lock
 from agents.records.manifest import origin as made_by
 from agents.records.manifest import write_json, write_manifest
 from agents.records.models import Stored, read_json
-from agents.records.searches import run_lock
 from agents.records.tables import CURVE as CURVE_COLUMNS
 from agents.records.tables import read_csv
 from agents.terminal.tables import print_table

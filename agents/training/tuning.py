@@ -23,10 +23,11 @@ from tqdm import tqdm
 
 from agents.records.atomic import write_atomically
 from agents.records.drawing import BLUE, GRID, RED, save
+from agents.records.locks import run_lock
 from agents.records.manifest import origin as made_by
 from agents.records.manifest import write_manifest
 from agents.records.models import Stored, validate
-from agents.records.searches import JOURNAL, open_study, run_lock
+from agents.records.searches import JOURNAL, open_study
 from agents.terminal.tables import print_line, print_table
 from agents.terminal.work import Work, announce
 from agents.training.config import Axis, Training, axes_of, value_in, with_values

@@ -10,7 +10,7 @@ from agents.design.compare import compare, print_comparison, summarise
 from agents.design.problem import OBJECTIVES, DesignProblem
 from agents.design.search import best_of, search, sensitivity, trials_table
 from agents.design.trials import DesignTrials
-from agents.records.searches import run_lock
+from agents.records.locks import run_lock
 from probe_env import Context, Design, Fidelity
 from probe_env.design import RANGES
 from probe_env.envs.task import TaskConfig

@@ -166,6 +166,17 @@ def write_line(path):
         append("{}")
 
 
+def test_a_second_process_may_not_append_to_a_journal(tmp_path):
+    path = tmp_path / "a.jsonl"
+    with Journal(path, Episode).appending() as append:
+        append("first\n")
+        with pytest.raises(FileError, match="another process is working there: wait for it"):
+            write_line(path)
+    assert path.read_text() == "first\n"
+    write_line(path)
+    assert path.read_text() == "first\n{}"
+
+
 def test_a_deleted_working_folder_is_named(tmp_path, monkeypatch):
     (tmp_path / "gone").mkdir()
     monkeypatch.chdir(tmp_path / "gone")

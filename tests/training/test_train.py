@@ -24,7 +24,7 @@ from agents.policies.catalogue import make_policy
 from agents.policies.fixed import Constant
 from agents.policies.view import View
 from agents.policies.wrappers import RoundTripPolicy
-from agents.records.searches import run_lock
+from agents.records.locks import run_lock
 from agents.records.shipped import file_or_shipped
 from agents.training import train as training_module
 from agents.training.config import Training

@@ -12,7 +12,7 @@ from kills import killed_at
 
 from agents.cli import main
 from agents.policies.bundle import ALGORITHMS
-from agents.records.searches import run_lock
+from agents.records.locks import run_lock
 from agents.records.shipped import file_or_shipped
 from agents.training import tuning as module
 from agents.training.config import LIMITS, ROLLOUT, USUAL, Range, Training, axes_of

@@ -43,29 +43,29 @@ def decide(episodes: Episodes, actions: npt.ArrayLike, active: BoolArray | None 
         RuntimeError: an active episode has ended and was not reset.
     """
     config = episodes.config
-    if not config.custom_actions:
+    if not config.custom_actions and config.shaping_weight == 0.0:
         return episodes.step(actions, active)
     count = len(episodes)
     running = np.ones(count, dtype=bool) if active is None else np.array(active, dtype=bool)
     requested = np.where(running[:, None], as_actions(actions, (count, 2)), 0.0).astype(np.float32)
     config.targets(requested)
     requested = changed_targets(config, episodes.actions, requested)
-    total, before, is_running = None, episodes.inserted_length, running
+    total, before, active = None, episodes.inserted_length, running
     columns = averaged_columns(config)
     sums, periods = np.zeros((count, len(columns))), np.zeros((count, 1))
     for _ in range(config.periods_per_action):
-        if total is not None and not running.any():
-            break
         step = episodes.step(requested, running)
         sums += np.where(running[:, None], step.observation[:, columns], 0.0)
         periods += running[:, None]
         total = step if total is None else _merged(total, step)
         running = running & ~(step.terminated | step.truncated)
+        if not running.any():
+            break
     assert total is not None
     if config.shaping_weight > 0.0:
         ended = total.terminated | total.truncated
         metres = np.where(ended, episodes.helix_length, episodes.inserted_length) - before
-        total = _shaped(total, np.where(is_running, config.shaping_weight * metres, 0.0))
+        total = _shaped(total, np.where(active, config.shaping_weight * metres, 0.0))
     means = sums / np.maximum(periods, 1.0)
     total.observation[:, columns] = np.where(periods > 0.0, means, total.observation[:, columns])
     return total

@@ -230,8 +230,8 @@ class TaskConfig(Observation, Disturbances, Limits, Reward, Actuators, Timing, R
 
     @property
     def custom_actions(self) -> bool:
-        """Whether the environment differs from one target per control period and the unshaped reward."""
-        return self.periods_per_action > 1 or self.change_per_action > 0.0 or self.shaping_weight > 0.0
+        """Whether an action of the environment is not a target for one control period."""
+        return self.periods_per_action > 1 or self.change_per_action > 0.0
 
     @property
     def decision_period(self) -> float:

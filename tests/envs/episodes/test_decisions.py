@@ -69,6 +69,15 @@ def test_every_episode_of_a_tube_is_paid_the_same_shaping(air):
     assert info["time"] % 5.0 != 0.0  # it ended within an action
 
 
+def test_shaping_alone_leaves_actions_and_observations():
+    envs = [gym.make("probe_env/Insertion-v1", fidelity="surrogate", config={"shaping_weight": w}) for w in (0.0, 2.0)]
+    begun = [env.reset(seed=3, options=TUBE)[1]["inserted_length"] for env in envs]
+    action = np.array([0.2, 0.1], dtype=np.float32)
+    (plain, reward, *_), (same, shaped, *_, info) = (env.step(action) for env in envs)
+    assert np.array_equal(plain, same)
+    assert shaped == pytest.approx(reward + 2.0 * (info["inserted_length"] - begun[1]), rel=1e-9)
+
+
 def test_batches_equal_single_environments():
     rng = np.random.default_rng(0)
     batch, sb3 = gym.make_vec("probe_env/IncrementalInsertion-v1", 2, fidelity="surrogate"), ProbeVecEnv(
