@@ -35,7 +35,8 @@ def row() -> str:
     stored = json.loads((FOLDER / "speed.json").read_text())
     one, sixteen, many, surrogate = (f"{float(f'{np.median(runs):.2g}'):,.0f}" for runs in stored.values())
     return (
-        f"| speed | environment steps per second on two cores in the first minute of an insertion: {one} at `fast` with one probe, {sixteen} with 16,"
+        "| speed | environment steps per second on two cores in the first minute of an insertion:"
+        f" {one} at `fast` with one probe, {sixteen} with 16,"
         f" {many} with 64; {surrogate} in the `surrogate` with 64 |"
     )
 
