@@ -1,4 +1,4 @@
-"""Built-in studies: claims of the published study, accuracy against cost, stability, and the shipped data."""
+"""Built-in studies: claims of the published study, accuracy and cost, stability, predictability, shipped data."""
 
 from __future__ import annotations
 
@@ -62,6 +62,9 @@ BUILT_IN: Final[dict[str, BuiltIn]] = {
     "claims": BuiltIn("claims", "Which claims of the published study does the simulator confirm?"),
     "chart": BuiltIn("chart", "How accurate is each method, and at which cost?"),
     "stability": BuiltIn("stability", "Which time steps are stable, by method, stiffness and length?"),
+    "predictability": BuiltIn(
+        "predictability", "How fast do perturbations grow, and how far ahead can a planner look?"
+    ),
     "vibration-map": BuiltIn("shipped.vibration_map", "Makes the vibration map of the study's tubes or of your plant."),
     "best-schedules": BuiltIn("shipped.best_schedules", "Searches best-constant and best-schedule."),
     "best-round-trip": BuiltIn("shipped.best_round_trip", "Searches feed and air of insertion and withdrawal."),
