@@ -187,10 +187,11 @@ def draw(table: pd.DataFrame, path: Path) -> None:
             wait.plot(decays, [2.0 * HORIZON] * len(decays), "v", color=colour)
         wait.plot([], [], "v", color=GREY, label="perturbation dies out")
         wait.axhline(HORIZON, color=GREY, linestyle="--", label="planner's horizon")
-        doubling.set(title=f"air supply {air:g} m³/h", ylim=(0.0, None))
+        doubling.set(title=f"air supply {air:g} m³/h")
         wait.set(xlabel="inserted length [m]", yscale="log")
         for axis in (doubling, wait):
             axis.grid(**GRID)
+    axes[0, 0].set_ylim(0.0)
     axes[0, 0].set_ylabel("doubling time [ms]")
     axes[1, 0].set_ylabel("from 1e-9 m to a tenth\nof the saturation [s]")
     handles = dict(zip(*reversed(axes[1, 0].get_legend_handles_labels()), strict=True))

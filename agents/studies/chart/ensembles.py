@@ -1,6 +1,6 @@
 """Chaotic regime: statistics of ensembles at constant length and of insertions, by method, step and mesh.
 
-Beyond about 30 m trajectories diverge, so statistics of runs with a start perturbation of 0.1 um are compared. All runs
+Where the probe vibrates trajectories diverge, so statistics of runs with a start perturbation of 0.1 um are compared. All runs
 of a setting share a batch.
 """
 

@@ -1,6 +1,6 @@
 """Ensembles of the published study's cases, resumable.
 
-Beyond about 30 m the motion is chaotic: a claim is tested on statistics of members whose start is perturbed by 0.1 um.
+Where the probe vibrates, its motion is chaotic: a claim is tested on statistics of members whose start is perturbed by 0.1 um.
 Member 0 has the study's start.
 """
 
