@@ -1,6 +1,6 @@
-"""Fits what the vibration map misses, ``probe_env.envs.surrogate.MEASURED``: 64 simulated insertions, maximum likelihood.
+"""Fits what the vibration map misses, ``probe_env.envs.surrogate.MEASURED``, to simulated insertions.
 
-Usage: python docs/surrogate.py (about 5 minutes on two cores)
+Usage: python docs/surrogate.py (about 5 minutes on two cores); maximum likelihood of a Gaussian process for each episode.
 """
 
 from __future__ import annotations
@@ -14,26 +14,29 @@ from probe_env import TaskConfig
 from probe_env.arrays import FloatArray
 from probe_env.envs.vibration_map import CONTEXT, stored_map
 
-PROBES, SECONDS, FEEDS, AIR = 64, 330, (0.08, 0.35), (0.0167, 0.035)
+PROBES, SECONDS = 64, 330
+SLOWEST, FASTEST, LEAST, MOST = 0.08, 0.35, 0.0167, 0.035  # m/s, m3/s
 NAMES = ("field", "feed", "air", "length", "slow", "time", "quick")
 START = (0.15, 0.3, 10.0 / 3600.0, 20.0, 0.1, 6.0, 0.15)
 
 
 def insertions() -> tuple[FloatArray, FloatArray]:
-    """Seconds of insertions with random feed and air: number and second of the episode (n, 2), and their
-    inserted length, feed, air, radial rms and tube (n, 8)."""
+    """Seconds of insertions with random feed and air.
+
+    Number and second of the episode (n, 2); inserted length, feed, air, radial rms and tube (n, 8), SI units.
+    """
     config, rng = TaskConfig().full_observation, np.random.default_rng(5)
     env = ProbeVecEnv("probe_env/Insertion-v1", PROBES, config, fidelity="fast", contexts="train")
     env.seed(11)
     env.reset()
-    base = np.exp(rng.uniform(*np.log(FEEDS), PROBES))
-    feed, air, episode = base.copy(), rng.uniform(*AIR, PROBES), np.arange(PROBES)
+    base = np.exp(rng.uniform(np.log(SLOWEST), np.log(FASTEST), PROBES))
+    feed, air, episode = base.copy(), rng.uniform(LEAST, MOST, PROBES), np.arange(PROBES)
     times, rows = [], []
     for second in range(SECONDS):
         near, far, other = (rng.random(PROBES) < 1.0 / seconds for seconds in (6.0, 90.0, 90.0))
         feed = np.where(near, np.clip(base * np.exp(rng.normal(0.0, 0.12, PROBES)), 0.05, 0.4), feed)
-        base = np.where(far, np.exp(rng.uniform(*np.log(FEEDS), PROBES)), base)
-        air = np.where(other, rng.uniform(*AIR, PROBES), air)
+        base = np.where(far, np.exp(rng.uniform(np.log(SLOWEST), np.log(FASTEST), PROBES)), base)
+        air = np.where(other, rng.uniform(LEAST, MOST, PROBES), air)
         tubes = [[getattr(context, name) for name in CONTEXT] for context in env.episodes.context]
         _, _, ended, infos = env.step(config.actions(feed, air).astype(np.float32))
         for k, info in enumerate(infos):
