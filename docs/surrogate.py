@@ -1,6 +1,6 @@
 """Fits what the vibration map misses, ``probe_env.envs.surrogate.MEASURED``, to simulated insertions.
 
-Usage: python docs/surrogate.py (about 5 minutes on two cores); maximum likelihood of a Gaussian process for each episode.
+Usage: python docs/surrogate.py (5 minutes on two cores); the likelihood is that of a Gaussian process per episode.
 """
 
 from __future__ import annotations
