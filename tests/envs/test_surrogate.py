@@ -13,7 +13,7 @@ from agents.policies.catalogue import named_policies
 from agents.training.config import Training
 from agents.vec_env import ProbeVecEnv
 from probe_env import Context
-from probe_env.envs.surrogate import Noise, Scatter, SurrogateEpisodes
+from probe_env.envs.surrogate import Field, Noise, Scatter, SurrogateEpisodes
 from probe_env.envs.task import TaskConfig
 from probe_env.envs.vibration_map import stored_map
 from probe_env.fidelity import PRESETS, Fidelity, resolve_fidelity
@@ -119,6 +119,22 @@ def test_scatter_has_its_deviation_and_correlation():
     series = np.array(values)
     assert series.std() == pytest.approx(0.2, rel=0.005)
     assert np.mean(series[1:] * series[:-1]) / series.var() == pytest.approx(0.9, abs=0.002)
+
+
+def test_the_field_has_its_deviation_and_its_correlations_over_feed_air_and_length():
+    """Bounds are 4.5 standard errors of 20,000 random functions."""
+    rng, field, count = np.random.default_rng(0), Field(deviation=0.2, feed=0.3, air=0.003, length=10.0), 20_000
+    waves = np.array([field.waves(rng) for _ in range(count)])
+
+    def values(feed: float, air: float, length: float) -> np.ndarray:
+        return field.at(waves, *(np.full(count, value) for value in (feed, air, length)))
+
+    here = values(0.2, 0.02, 30.0)
+    assert here.mean() == pytest.approx(0.0, abs=4.5 * 0.2 / np.sqrt(count))
+    assert here.std() == pytest.approx(0.2, rel=4.5 / np.sqrt(2 * count))
+    for feed, air, length in ((0.2 * np.exp(0.3), 0.02, 30.0), (0.2, 0.023, 30.0), (0.2, 0.02, 20.0)):
+        correlation = np.mean(here * values(feed, air, length)) / 0.04
+        assert correlation == pytest.approx(np.exp(-0.5), abs=4.5 * np.sqrt((1.0 + np.exp(-1.0)) / count))
 
 
 def test_kpis_of_a_whole_insertion_are_sums_of_its_steps():
