@@ -76,6 +76,9 @@ class Contact(Model):
     """Walls that floats touch."""
     cable: bool = False
     """Contact of the cable between floats with the walls, as where compression buckles it."""
+    weight: bool = False
+    """Friction from the weight of the cable, which acts across the plane of the helix (vertical axis): a float has the
+    friction mu sqrt(N^2 + w^2), also without contact in the plane, with the weight w of a pitch of cable."""
 
 
 class Air(Model):

@@ -50,6 +50,15 @@ def run_all():
         assert simulator.root == simulator.sensor + simulator.nodes_per_pitch  # as far as it goes
         simulator.advance(0.25, 0.03, 90 * step, 9 * step)  # and in again
         runs += 1
+    for method, count in itertools.product(STEPS, (1, 5)):
+        if METHODS[method].simulates_weight:
+            options = {"contact": {"weight": True}, "air": {"compressible": True}}
+            scenes = [scene("both").model_copy(update=options)] * count
+            batch = SimulatorBatch(scenes, method, STEPS[method], growing=True, time_lapse=1000.0, threads=1)
+            for simulator in batch.simulators:
+                thrown(simulator)
+            batch.advance(0.25, 0.03, 90 * STEPS[method], 9 * STEPS[method])
+            runs += 1
     for solver in list(SOLVERS)[1:]:
         simulator = Simulator(scene("both", 0.0, 0.2), solver=solver)
         thrown(simulator)

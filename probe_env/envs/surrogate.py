@@ -412,6 +412,7 @@ def check_task(config: TaskConfig, probes: Probes, vibration: VibrationMap) -> N
         "sensor_dropout": config.sensor_dropout > 0.0,
         "friction_drift": config.friction_drift != 0.0,
         "air.compressible = true": config.scene.air.compressible,
+        "contact.weight = true": config.scene.contact.weight,
         f"helix_length = {length:g} m (the map ends at {longest:g} m)": length > longest * (1.0 + 1e-9),
     }
     wrong = [name for name, is_so in refused.items() if is_so]

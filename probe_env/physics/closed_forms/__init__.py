@@ -14,13 +14,12 @@ import numpy as np
 from probe_env.arrays import FloatArray
 from probe_env.physics.closed_forms.bare_chains import impact as impact
 from probe_env.physics.closed_forms.bare_chains import linear_chain as linear_chain
+from probe_env.physics.model.chain import GRAVITY as GRAVITY
 from probe_env.physics.model.chain import air_pressure as air_pressure
 from probe_env.physics.model.chain import air_speed, build_chain, drag_factors
 from probe_env.scene import Probe, Scene
 from probe_env.settings import within
 
-GRAVITY: Final = 9.80665
-"""[m/s2]; neglected in the simulation of the helix, whose plane is assumed to be horizontal."""
 MEASURED: Final = ("root_tension", "inserted_length", "feed_speed", "air_supply_rate", "helix_diameter")
 """Measurements from which friction is estimated, SI units."""
 SHAPE: Final = ("guide_length", "guide_float_diameter", "carrier_float_diameter", "float_pitch")
@@ -32,7 +31,7 @@ def steady_root_tension(scene: Scene) -> float:
     return float(steady_tensions(scene)[-1])
 
 
-def steady_tensions(scene: Scene, weight: float = 0.0) -> FloatArray:
+def steady_tensions(scene: Scene, weight: float | None = None) -> FloatArray:
     """Closed form of the axial force behind every float in steady sliding [N], tip first; negative: compression.
 
     T = (q r / mu') (1 - exp(-mu' s / r)) at a distance s from the tip, with the mean drag q per metre. Friction acts at
@@ -50,9 +49,11 @@ def steady_tensions(scene: Scene, weight: float = 0.0) -> FloatArray:
 
     Args:
         scene: probe, tube, friction, air, feed speed and length.
-        weight: of the cable per metre, across the plane of the helix [N/m]; ``GRAVITY`` times the line density for a
-            helix with a vertical axis. The simulation neglects it.
+        weight: of the cable per metre, across the plane of the helix [N/m]; default: ``GRAVITY`` times the line density
+            if ``contact.weight``, else 0.
     """
+    if weight is None:
+        weight = scene.probe.line_density * GRAVITY if scene.contact.weight else 0.0
     chain = build_chain(scene)
     exit_speed = air_speed(scene, scene.air_supply_rate)
     relative = exit_speed - scene.feed_speed

@@ -58,9 +58,13 @@ def check_step(method: Method, time_step: float) -> None:
 
 def check_scene(method: Method, scene: Scene) -> None:
     """Raise ValueError if a method does not simulate an option of a scene."""
-    if scene.air.compressible and not method.simulates_expansion:
-        able = names_of(lambda other: other.simulates_expansion)
-        raise ValueError(f"air.compressible = true: {method.name} does not simulate it; use {able}")
+    options: tuple[tuple[str, bool, Callable[[Method], bool]], ...] = (
+        ("air.compressible", scene.air.compressible, lambda other: other.simulates_expansion),
+        ("contact.weight", scene.contact.weight, lambda other: other.simulates_weight),
+    )
+    for option, used, able in options:
+        if used and not able(method):
+            raise ValueError(f"{option} = true: {method.name} does not simulate it; use {names_of(able)}")
 
 
 def names_of(which: Callable[[Method], bool]) -> str:

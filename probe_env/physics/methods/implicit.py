@@ -10,6 +10,8 @@ damping force. The terms of f do not add energy to a passive probe:
   cable itself touches the wall. At depths of more than 10 mm the stiffness of a wall is 1e7 N/m;
 * friction opposes the sliding velocity of the contact point during the step, u + v_m, with mu N at d_new. Below a
   velocity of mu N / c it sticks: a linear law with c = 100 m / (theta dt), which creeps some micrometres per second;
+* weight adds mu (sqrt(N^2 + w^2) - N) against the motion u + v_m of a float, with N of the last iterate; it sticks in
+  the same way;
 * the couple V l theta of (9) uses the axial force of the last step: tension is evaluated at d_new (convex), compression
   at d (concave), within ``couple_limits``; only changes of V between steps can add energy;
 * drag is linearised about the speed of the last step; Coriolis and centrifugal force use that speed.
@@ -57,18 +59,19 @@ STICTION = 100.0  # c theta dt / m
 
 HARD_DEPTH, HARD_STIFFNESS = 0.01, 1e7  # [m], [N/m]
 
-INNER, OUTER, ARM, STIFFNESS = 0, 1, 2, 3
+INNER, OUTER, ARM, STIFFNESS, WEIGHT = range(5)
 
 
 def contact_walls(chain: Chain) -> FloatArray:
-    """(n + 1, 4) y below and above which a node touches a wall, lever arm of friction, contact stiffness."""
+    """(n + 1, 5) y below and above which a node touches a wall, lever arm of friction, contact stiffness, weight."""
     is_float = chain.contact_stiffness > 0.0
     if not is_float.any():
-        return np.tile([-math.inf, math.inf, 0.0, 0.0], (chain.node_count, 1))
+        return np.tile([-math.inf, math.inf, 0.0, 0.0, 0.0], (chain.node_count, 1))
     clearance = np.where(is_float, 0.0, chain.lever - chain.cable_radius)  # of the cable, beyond that of a float
     arm = np.where(is_float, chain.lever, chain.cable_radius)
     stiffness = np.full(chain.node_count, chain.contact_stiffness.max())
-    return np.column_stack([-clearance, chain.outer_gap + clearance, arm, stiffness])
+    weight = np.where(is_float, chain.float_weight, 0.0)
+    return np.column_stack([-clearance, chain.outer_gap + clearance, arm, stiffness, weight])
 
 
 @njit(nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
@@ -105,7 +108,7 @@ def push(wall, geometry, y, at):
 @njit(nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
 def contact(wall, geometry, law, at, d, w):
     """Normal force N and sliding velocity of the contact point at w, for a node at d."""
-    _, _, tau, _, speed, _, _ = law
+    _, _, tau, _, speed, _, _, _ = law
     side, n0, n1 = push(wall, geometry, d[1], at)
     return n0 - side * n1 * w[1], speed + (w[0] - d[0] + side * geometry[ARM] * (w[2] - d[2])) / tau
 
@@ -116,14 +119,45 @@ def friction_force(slide, slip, most, stiction):
     return slide * most if slide != 0 else stiction * slip
 
 
+@njit(nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
+def slide_of(slip, most, stiction):
+    """Flag of friction: 0 if it sticks, else the sign of the slip."""
+    return 0 if stiction * abs(slip) < most else (1 if slip >= 0.0 else -1)
+
+
+@njit(nogil=True, error_model="numpy", fastmath=FASTMATH)
+def renew_weight(i, walls, law, first, state, work):
+    """``renew_flags`` for the friction that weight adds at node i; returns the change of its force."""
+    _, _, tau, stiction, speed, coefficient, frozen, _ = law
+    geometry, weight = (walls[i, 0], walls[i, 1], walls[i, 2], walls[i, 3]), walls[i, WEIGHT]
+    d, change, old, slip = (state.d[i, 0], state.d[i, 1], state.d[i, 2]), 0.0, work.flags[i, 2], 0.0
+    at = moment_of_contact(geometry, law, d[1])
+    most = work.rest[i]
+    for k in range(2):  # solution, then iterate
+        w = (work.w[i, 0], work.w[i, 1], work.w[i, 2])
+        if k == 1:
+            w = (work.iterate[i, 0], work.iterate[i, 1], work.iterate[i, 2])
+        slip = speed + (w[0] - d[0]) / tau
+        if not frozen:
+            N, _ = contact(wall_at(d[1] + at * (w[1] - d[1]), geometry), geometry, law, at, d, w)
+            most = coefficient * (math.hypot(N, weight) - N)
+        if k == 0 and not first:
+            F = friction_force(slide_of(slip, most, stiction), slip, most, stiction)
+            change = abs(F - friction_force(old, slip, work.rest[i], stiction))
+    slide = slide_of(slip, most, stiction)
+    work.rest[i] = most
+    work.flags[i, 2] = 0 if slide * old < 0 and not first else slide
+    return change
+
+
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH)
 def renew_flags(root, walls, law, share, first, state, work):
     """Update the flags for the next iteration; returns the largest change of forces and the largest normal force.
 
     The iterate moves by ``share`` towards the solution. ``law``: points of evaluation for free nodes and for nodes in a
-    wall, tau, c, u, mu, whether friction is frozen.
+    wall, tau, c, u, mu, whether friction is frozen, and a tuple that is empty if weight is neglected.
     """
-    _, _, _, stiction, _, coefficient, frozen = law
+    _, _, _, stiction, _, coefficient, frozen, weighed = law
     worst, largest = 0.0, LEAST_FORCE
     for i in range(root):
         geometry = (walls[i, 0], walls[i, 1], walls[i, 2], walls[i, 3])
@@ -155,6 +189,8 @@ def renew_flags(root, walls, law, share, first, state, work):
         if slide * old_slide < 0 and not first:
             slide = 0  # stick before sliding the other way; otherwise the iteration oscillates
         work.flags[i, 0], work.flags[i, 1] = wall, slide
+        if len(weighed) > 0 and walls[i, WEIGHT] > 0.0:
+            worst = max(worst, renew_weight(i, walls, law, first, state, work))
     return worst, largest
 
 
@@ -205,8 +241,8 @@ def free_rows(chain, weights, limits, speed, slope, air, state, i, P, q):
 class Workspace(NamedTuple):
     """Scratch of a step: T (n + 1, 9) and s (n + 1, 3) of the TICM, P (n + 1, 7) and q (n + 1, 3).
 
-    P and q without and with contact; iterate and solution w (n + 1, 3); bounds of frozen friction (n + 1,); flags
-    wall and slide (n + 1, 2).
+    P and q without and with contact; iterate and solution w (n + 1, 3); bounds of frozen friction and of that from
+    weight (n + 1,); flags wall, slide and slide of the friction from weight (n + 1, 3).
     """
 
     T: FloatArray
@@ -218,6 +254,7 @@ class Workspace(NamedTuple):
     iterate: FloatArray
     w: FloatArray
     bound: FloatArray
+    rest: FloatArray
     flags: npt.NDArray[np.int64]
 
 
@@ -225,13 +262,14 @@ def workspace(nodes: int) -> Workspace:
     """Scratch arrays for a chain of ``nodes`` nodes."""
     T, p, free_p, q = np.zeros((nodes, 9)), np.zeros((nodes, 7)), np.zeros((nodes, 7)), np.zeros((nodes, 3))
     s, free_q, iterate, w = q.copy(), q.copy(), q.copy(), q.copy()
-    return Workspace(T, s, free_p, free_q, p, q, iterate, w, np.zeros(nodes), np.zeros((nodes, 2), dtype=np.int64))
+    bound, rest, flags = np.zeros(nodes), np.zeros(nodes), np.zeros((nodes, 3), dtype=np.int64)
+    return Workspace(T, s, free_p, free_q, p, q, iterate, w, bound, rest, flags)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH)
 def solve(chain, root, walls, law, state, work):
     """Solve for w and the axial forces by the TICM with the present flags; returns the first invalid node or -1."""
-    _, _, tau, stiction, speed, coefficient, frozen = law
+    _, _, tau, stiction, speed, coefficient, frozen, weighed = law
     d, P, q, T, s, w = state.d, work.P, work.q, work.T, work.s, work.w
     c, sn, h = chain.cos_phi, chain.sin_phi, chain.element_length
     F = chain.axial_compliance, chain.shear_compliance, chain.bending_compliance, chain.coupling_compliance
@@ -267,6 +305,13 @@ def solve(chain, root, walls, law, state, work):
                 p4 -= grip * side * n1 * arm
                 q0 -= force
                 q2 -= force * arm
+        if len(weighed) > 0 and walls[i, WEIGHT] > 0.0:
+            slide = work.flags[i, 2]
+            if slide == 0:
+                p0 += stiction / tau
+                q0 += stiction * (d[i, 0] / tau - speed)
+            else:
+                q0 -= slide * work.rest[i]
         P[i, 0], P[i, 1], P[i, 2], P[i, 3], P[i, 4], P[i, 5], P[i, 6] = p0, p1, p2, p3, p4, p5, p6
         q[i, 0], q[i, 1], q[i, 2] = q0, q1, q2
         # (22b) without damping: L^T s
@@ -297,7 +342,7 @@ HALF_STEPS_FROM, FREEZE_AFTER, MOST_ITERATIONS = 8, 25, 40
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH)
-def implicit_step(chain, weights, limits, walls, inputs, root, state, work):
+def implicit_step(chain, weights, limits, walls, weighed, inputs, root, state, work):
     """One step with node ``root`` held; returns iterations, whether they converged, and an invalid node or -1."""
     dt, theta, tau = weights
     speed, w = inputs[SPEED], work.w
@@ -308,7 +353,7 @@ def implicit_step(chain, weights, limits, walls, inputs, root, state, work):
             w[i, k] = state.d[i, k] + tau * state.memory[i, k]
             work.iterate[i, k] = w[i, k]
     zeta = 0.5 + 0.5 * dt / (dt + LONG_STEP)
-    law = (dt / tau, zeta * dt / tau, tau, stiction, speed, chain.friction, False)
+    law = (dt / tau, zeta * dt / tau, tau, stiction, speed, chain.friction, False, weighed)
     renew_flags(root, walls, law, 1.0, True, state, work)
     iterations, converged, bad = 0, False, -1
     while not converged and iterations < MOST_ITERATIONS:
@@ -320,7 +365,7 @@ def implicit_step(chain, weights, limits, walls, inputs, root, state, work):
         worst, largest = renew_flags(root, walls, law, share, False, state, work)
         converged = worst <= TOLERANCE * largest
         if iterations == FREEZE_AFTER:
-            law = (dt / tau, zeta * dt / tau, tau, stiction, speed, chain.friction, True)
+            law = (dt / tau, zeta * dt / tau, tau, stiction, speed, chain.friction, True, weighed)
     for i in range(root):
         for k in range(3):
             mean = (w[i, k] - state.d[i, k]) / tau
@@ -334,13 +379,19 @@ def implicit_step(chain, weights, limits, walls, inputs, root, state, work):
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH)
 def advance(
-    chain, weights, limits, walls, inputs, root, state, work, first_sample, every, points, samples, tension_sum, counts
-):
-    """``ticm.advance`` with ``implicit_step``; adds iterations and steps that did not converge to ``counts`` (2,)."""
+    chain, weights, limits, walls, weighed, inputs, root, state, work,
+    first_sample, every, points, samples, tension_sum, counts,
+):  # fmt: skip
+    """``ticm.advance`` with ``implicit_step``; adds iterations and steps that did not converge to ``counts`` (2,).
+
+    ``weighed`` is an empty tuple if weight is neglected; numba compiles a kernel for either.
+    """
     row = 0
     due = first_sample
     for step in range(len(inputs)):
-        iterations, converged, node = implicit_step(chain, weights, limits, walls, inputs[step], root, state, work)
+        iterations, converged, node = implicit_step(
+            chain, weights, limits, walls, weighed, inputs[step], root, state, work
+        )
         counts[0] += iterations
         counts[1] += 0 if converged else 1
         if node >= 0:
@@ -368,9 +419,10 @@ class Implicit(Method):
     contact_step = stable_step
 
     def constants(self, chain: Chain, sensor: int, nodes_per_pitch: int, time_step: float) -> tuple[Any, ...]:
-        """Chain, weights of the theta rule, limits of the couple and walls at every node."""
+        """Chain, weights of the theta rule, limits of the couple, walls at every node, and whether there is weight."""
         weights = (time_step, *implicit_weights(chain.damping_time, time_step))
-        return chain, weights, couple_limits(chain, nodes_per_pitch), contact_walls(chain)
+        weighed = (0,) * (chain.float_weight > 0.0)
+        return chain, weights, couple_limits(chain, nodes_per_pitch), contact_walls(chain), weighed
 
     def run(
         self, lanes: Sequence[Lane], time_step: float, nodes_per_pitch: int, first_sample: int, sample_every: int

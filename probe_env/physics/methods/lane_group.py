@@ -24,9 +24,9 @@ from probe_env.physics.model.drive import APPEND, INPUTS
 (
     ROOT, SENSOR, CURVATURE, STIFFNESS, FRICTION, GUIDE_DRAG, CARRIER_DRAG, GUIDE_LEVER, CARRIER_LEVER,
     GUIDE_GAP, CARRIER_GAP, COS, SIN, AXIAL, COUPLE, MASS_RATIO, DAMPING, PEAK, TURN, TURN_FORCE, CABLE, CABLE_RADIUS,
-    PRESSURE, TENSION,
-) = range(24)  # fmt: skip
-PARAMETERS = 24
+    PRESSURE, TENSION, WEIGHT,
+) = range(25)  # fmt: skip
+PARAMETERS = 25
 # fields of a node, rows of its state: displacement, velocity, partial solution, axial force
 X, Y, T, VX, VY, VT, GX, GY, GT, V = range(10)
 FIELDS = 10
@@ -58,6 +58,8 @@ class LaneMethod(Method):
         for field in ("load", "support_stiffness"):
             if getattr(chain, field).any():
                 raise ValueError(f"chain.{field} is not zero: {self.name} does not simulate it; newmark does")
+        if chain.float_weight > 0.0 and not self.simulates_weight:
+            raise ValueError(f"chain.float_weight is not zero: {self.name} does not simulate it; newmark does")
         index = np.arange(chain.node_count - 1)
         is_float, first = index % nodes_per_pitch == 0, (sensor // nodes_per_pitch + 1) * nodes_per_pitch
         equal = np.where(index <= sensor, 0, min(first, chain.node_count - 1))
@@ -81,6 +83,7 @@ class NodeLanes(LaneMethod):
     """A lane method with one row of the state per node: ``imex`` and ``explicit``."""
 
     simulates_expansion = False
+    simulates_weight = False
 
     @abstractmethod
     def factors(self, chain: Chain, time_step: float) -> FloatArray:
@@ -138,7 +141,7 @@ class LaneGroup(NamedTuple):
     """Arguments of a kernel for a group of probes in ``width`` lanes; idle lanes are marked in ``failed``.
 
     Attributes:
-        parameters: (24, width), see ``lane_parameters``; ``ROOT`` is the held node.
+        parameters: (25, width), see ``lane_parameters``; ``ROOT`` is the held node.
         inputs: (steps, 4, width), see model/drive.py.
         points: (p, width) sampled nodes, -1 for the root.
         roots: (width,) held nodes.
@@ -185,7 +188,7 @@ class LaneGroup(NamedTuple):
 
 
 def lane_parameters(chain: Chain, sensor: int, nodes_per_pitch: int) -> FloatArray:
-    """(24,) parameters of a lane; ``ROOT`` and ``PEAK`` are set in each run."""
+    """(25,) parameters of a lane; ``ROOT`` and ``PEAK`` are set in each run."""
     carrier = min((sensor // nodes_per_pitch + 1) * nodes_per_pitch, len(chain.drag) - 1)
     values = np.zeros(PARAMETERS)
     values[SENSOR] = sensor
@@ -203,4 +206,5 @@ def lane_parameters(chain: Chain, sensor: int, nodes_per_pitch: int) -> FloatArr
     values[[TURN, TURN_FORCE]] = chain.couple_turn, chain.couple_turn * chain.inertia / chain.mass
     values[[CABLE, CABLE_RADIUS]] = chain.cable_stiffness / chain.mass, chain.cable_radius
     values[[PRESSURE, TENSION]] = chain.most_pressure, chain.most_tension
+    values[WEIGHT] = chain.float_weight
     return values

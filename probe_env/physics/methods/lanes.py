@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from llvmlite import ir
 from numba import types
+from numba.core import cgutils
 from numba.extending import intrinsic, models, overload, register_model
 
 REGISTER = 32  # bytes
@@ -99,6 +100,21 @@ def where_less(typing_context: Any, a: Any, b: Any, yes: Any, no: Any) -> Any:
         return builder.select(builder.fcmp_ordered("<", first, second), chosen, other)
 
     return a(a, a, a, a), code
+
+
+@intrinsic
+def square_root(typing_context: Any, value: Any) -> Any:
+    """``square_root(value)``: of every lane."""
+
+    def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        vector = arguments[0].type
+        suffix = f"v{vector.count}{vector.element.intrinsic_name}"
+        function = cgutils.get_or_insert_function(
+            builder.module, ir.FunctionType(vector, [vector]), f"llvm.sqrt.{suffix}"
+        )
+        return builder.call(function, arguments)
+
+    return value(value), code
 
 
 @intrinsic

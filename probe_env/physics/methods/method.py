@@ -58,6 +58,7 @@ class Method(ABC):
         on_nodes: whether its mesh has ``nodes_per_pitch`` nodes; equal meshes give equal solutions.
         simulates_withdrawal: whether it simulates compression on the outer wall, and nodes that leave at the root.
         simulates_expansion: whether the drag may differ between equal floats, as in compressible air.
+        simulates_weight: whether weight adds to friction.
     """
 
     name: str
@@ -70,6 +71,7 @@ class Method(ABC):
     on_nodes: bool = True
     simulates_withdrawal: bool = True
     simulates_expansion: bool = True
+    simulates_weight: bool = True
 
     @property
     def width(self) -> int:
@@ -101,6 +103,10 @@ class Method(ABC):
         Raises:
             ValueError: the method does not simulate such a chain.
         """
+
+    def with_drag(self, constants: Any, chain: Chain, sensor: int, nodes_per_pitch: int, time_step: float) -> Any:
+        """Constants for a chain that differs in drag only from that of ``constants``; arguments as there."""
+        return self.constants(chain, sensor, nodes_per_pitch, time_step)
 
     def kind(self, constants: Any) -> Hashable:
         """Key of probes that can share a group."""

@@ -109,6 +109,10 @@ def node_equation(chain, scheme, feed_speed, slope, air, state, i, P, q):
             q_x += mu_k * outer
             q_y += k * outer
             q_t -= mu_k * lever * outer
+    if chain.float_weight > 0.0 and chain.contact_stiffness[i] > 0.0:  # mu sqrt(N^2 + w^2) instead of mu N
+        normal = chain.contact_stiffness[i] * max(-y, y - chain.outer_gap[i], 0.0)
+        more = chain.friction * (math.hypot(normal, chain.float_weight) - normal)
+        q_x -= more if speed >= 0.0 else -more
     P[i, 1] = P_xy
     P[i, 2] = P_yy
     P[i, 4] = P_ty

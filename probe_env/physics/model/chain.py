@@ -14,6 +14,8 @@ import numpy as np
 from probe_env.arrays import FloatArray
 from probe_env.scene import Scene
 
+GRAVITY = 9.80665
+"""[m/s2]"""
 RISE = 0.5
 """Length from the entrance over which a probe approaches the outer wall [m]."""
 
@@ -39,6 +41,7 @@ class Chain(NamedTuple):
     couple_length: float  # l in V l theta of (9); 0 switches the couple off
     frame_inertia: float  # J / r of (15)
     friction: float
+    float_weight: float  # of a pitch of cable, across the plane [N]; 0 neglects it
     cable_radius: float  # d_c / 2, for contact of the cable
     cable_stiffness: float  # of the wall for the cable; 0 if only floats touch
     most_pressure: float  # largest compression in the couple [N]; infinite if only floats touch
@@ -89,6 +92,7 @@ def build_chain(scene: Scene, nodes_per_pitch: int = 4, length: float | None = N
         couple_length=h,
         frame_inertia=inertia * curvature,
         friction=contact.friction,
+        float_weight=probe.line_density * probe.float_pitch * GRAVITY if contact.weight else 0.0,
         cable_radius=probe.cable_diameter / 2.0,
         cable_stiffness=contact.stiffness if contact.cable else 0.0,
         most_pressure=most_pressure(probe.flexural_rigidity, h, probe.float_pitch) if contact.cable else math.inf,

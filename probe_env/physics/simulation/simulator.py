@@ -307,7 +307,7 @@ class Simulator:
             self.drive.feed_speed, self.drive.air_speed,
         )  # fmt: skip
         chain = self.chain._replace(drag=drag)
-        return self.method.constants(chain, self.sensor, self.nodes_per_pitch, self.time_step)
+        return self.method.with_drag(self.constants, chain, self.sensor, self.nodes_per_pitch, self.time_step)
 
     def __repr__(self) -> str:
         return (

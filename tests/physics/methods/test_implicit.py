@@ -27,7 +27,7 @@ def integrate(chain, time_step, steps, state=None, feed=0.0, every=1):
     for _ in range(steps // every):
         inputs = Drive(feed, 0.0).inputs_of_steps(every, time_step, chain.element_length, 0)
         status, *_ = implicit.advance(
-            chain, weights, limits, walls, inputs, nodes - 1, state, work,
+            chain, weights, limits, walls, (), inputs, nodes - 1, state, work,
             every + 1, 1, np.array([0]), np.zeros((0, 1, 4)), np.zeros(nodes), counts,
         )  # fmt: skip
         assert status == 0

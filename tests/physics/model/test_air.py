@@ -14,6 +14,7 @@ from probe_env.envs.vibration_map import stored_map
 from probe_env.physics.closed_forms import steady_root_tension, steady_tensions, tension_for_straight
 from probe_env.physics.methods import METHODS, SOLVERS
 from probe_env.physics.model.chain import air_pressure, air_speed, drag_factors
+from probe_env.physics.simulation.batch import groups_of
 
 AREA = math.pi / 4.0 * (0.0242**2 - 0.00835**2)
 EXPANDING = {"compressible": True}
@@ -145,8 +146,10 @@ def test_other_solvers_and_batches_give_equal_results():
     scene = Scene.model_validate(SHORT)
     runs = [Simulator(scene, solver=solver).run(0.02, points=("tip",)).axial for solver in list(SOLVERS)[:2]]
     np.testing.assert_allclose(runs[1], runs[0], atol=1e-9 * np.abs(runs[0]).max())
-    scenes = [scene, scene.model_copy(update={"air": {"compressible": False}}), scene]
+    uniform = scene.model_copy(update={"air": {"compressible": False}})
+    scenes = [scene, uniform, scene.model_copy(update={"air_supply_rate": 0.03}), uniform]
     batch = SimulatorBatch(scenes, "superelement32", threads=1)
+    assert len(groups_of(batch.simulators, range(4))) == 1
     batch.advance(duration=0.02)
     for s, simulator in zip(scenes, batch.simulators, strict=True):
         alone = Simulator(s, "superelement32", 2e-4)

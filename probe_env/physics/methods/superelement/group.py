@@ -26,6 +26,7 @@ from probe_env.physics.methods.lane_group import (
     SENSOR,
     STIFFNESS,
     TENSION,
+    WEIGHT,
     LaneGroup,
     LaneMethod,
     lane_parameters,
@@ -251,16 +252,27 @@ class Superelement(LaneMethod):
         equal = all(np.ptp(part) == 0.0 for part in (drag[:first], drag[first:]) if len(part))
         return values, table, None if equal else drag
 
+    def with_drag(
+        self,
+        constants: tuple[FloatArray, Tables, FloatArray | None],
+        chain: Chain,
+        sensor: int,
+        nodes_per_pitch: int,
+        time_step: float,
+    ) -> tuple[FloatArray, Tables, FloatArray]:
+        """See ``Method.with_drag``; nothing else is computed again."""
+        return constants[0], constants[1], chain.drag[:-1:nodes_per_pitch]
+
     def kind(self, constants: tuple[FloatArray, Tables, FloatArray | None]) -> Hashable:
-        """Numbers of modes of the kernel: kernels with other numbers round differently."""
-        return room(constants[1])
+        """Numbers of modes of the kernel, and whether it has weight: other kernels round differently."""
+        return *room(constants[1]), bool(constants[0][WEIGHT] > 0.0)
 
     def run(
         self, lanes: Sequence[Lane], time_step: float, nodes_per_pitch: int, first_sample: int, sample_every: int
     ) -> float:
-        """See ``Method.run``; the kernel of a group has one drag of all guide and one of all carrier floats."""
-        if len(lanes) == 1 or any(lane.constants[2] is not None for lane in lanes):
-            return sum(self._run_single(lane, time_step, nodes_per_pitch, first_sample, sample_every) for lane in lanes)
+        """See ``Method.run``."""
+        if len(lanes) == 1:
+            return self._run_single(lanes[0], time_step, nodes_per_pitch, first_sample, sample_every)
         per_pitch, members = nodes_per_pitch, [lane.constants[1] for lane in lanes]
         even, odd = room(members[0])
         used, width, precision = len(lanes), self.width, self.precision
@@ -273,14 +285,21 @@ class Superelement(LaneMethod):
         state = np.zeros((rows, fields, width), dtype=precision)
         for k, (lane, table) in enumerate(zip(lanes, members, strict=True)):
             pack(state[:, :, k], lane.state, lane.root, per_pitch, table, even)
+        varied = any(lane.constants[2] is not None for lane in lanes)
+        drags = np.zeros((rows if varied else 0, width), dtype=precision)
+        for k, lane in enumerate(lanes if varied else ()):
+            values, table, drag = lane.constants
+            drags[:, k] = floats_of(values, drag, table, rows)[:, DRAG]
+        options = weighed(lanes[0]), (0,) * varied
         stacked = root_tables(members, width, even, odd, last + 1)
         constants, factors, at = _placed(stacked, roots, rows, precision)
         samples, tension = group.scratch(lanes, rows)
         begin = time.perf_counter()
         self.kernel(
-            group.parameters, constants, factors, at, last, ((0,) * even, (0,) * odd), state.reshape(-1, width),
-            group.inputs.reshape(-1, width), last_float[:-1].max(axis=1), last_float[:-1].min(axis=1), time_step,
-            stacked, (first_sample, sample_every, group.points, samples, tension), roots, group.failed,
+            group.parameters, constants, factors, at, last, ((0,) * even, (0,) * odd), options, drags,
+            state.reshape(-1, width), group.inputs.reshape(-1, width), last_float[:-1].max(axis=1),
+            last_float[:-1].min(axis=1), time_step, stacked,
+            (first_sample, sample_every, group.points, samples, tension), roots, group.failed,
         )  # fmt: skip
         seconds = time.perf_counter() - begin
         group.unpack(lanes, samples)
@@ -314,7 +333,7 @@ class Superelement(LaneMethod):
         floats = in_blocks(floats_of(values, drag, table, len(rows)), width, precision)
         begin = time.perf_counter()
         lane.failed, lane.root = self.single(
-            parameters, constants, factors, links, floats, ((0,) * even, (0,) * odd), state,
+            parameters, constants, factors, links, floats, ((0,) * even, (0,) * odd), weighed(lane), state,
             lane.inputs.astype(precision), lane.root, time_step, stacked, np.zeros((2 * fields, 1), dtype=precision),
             (first_sample, sample_every, lane.points, lane.samples, tension),
         )  # fmt: skip
@@ -333,6 +352,11 @@ class Superelement32(Superelement):
     least_step = 5e-5
     precision = np.float32
     single_share = 0.33
+
+
+def weighed(lane: Lane) -> tuple[int, ...]:
+    """Option of the kernels for the weight of a probe; see ``superelement_advance``."""
+    return (0,) * bool(lane.constants[0][WEIGHT] > 0.0)
 
 
 def add_tension(lane: Lane, tension: FloatArray, per_pitch: int) -> None:

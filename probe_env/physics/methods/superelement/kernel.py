@@ -25,8 +25,8 @@ from numba import njit
 from probe_env.arrays import FloatArray
 from probe_env.physics.methods.factors import linear_weights
 from probe_env.physics.methods.imex import float_at, float_forces, less_product, load_floats, load_wall, magnitude
-from probe_env.physics.methods.lane_group import CURVATURE, DAMPING, PEAK, ROOT, TENSION
-from probe_env.physics.methods.lanes import load, splat, store, where_less
+from probe_env.physics.methods.lane_group import CURVATURE, DAMPING, PEAK, ROOT, TENSION, WEIGHT
+from probe_env.physics.methods.lanes import load, splat, square_root, store, where_less
 from probe_env.physics.methods.superelement.tables import (
     AXIAL,
     AXIAL_EVEN,
@@ -274,10 +274,26 @@ def dot(constants, c, x, y, t):
 
 
 @njit(nogil=True, error_model="numpy", inline="always")
-def float_kick(constants, c, state, q, float_, wall, curvature, behind, speed, slope, air, y):
+def weight_friction(float_, wall, weight, forward, y):
+    """Friction of a float beyond mu N, along the tube: mu (sqrt(N^2 + w^2) - N).
+
+    Its moment remains that of mu N, because the contact point moves out of the plane.
+    """
+    _, gap, _ = float_
+    stiffness, coefficient, _ = wall
+    zero = splat(y, 0.0)
+    beyond = y - gap
+    normal = stiffness * (where_less(y, zero, zero - y, zero) + where_less(zero, beyond, beyond, zero))
+    more = coefficient * (square_root(normal * normal + weight * weight) - normal)
+    return where_less(forward, zero, zero - more, more)
+
+
+@njit(nogil=True, error_model="numpy", inline="always")
+def float_kick(constants, c, state, q, float_, wall, weighed, weight, curvature, behind, speed, slope, air, y):
     """Contact, friction, drag and inertia of a float with half the cable on either side: x, y, moment.
 
-    ``behind`` is half the mass of the piece behind it. The order of loads affects the rounding (fused multiply-add).
+    ``behind`` is half the mass of the piece behind it; ``weighed`` is an empty tuple if weight is neglected. The order
+    of loads affects the rounding (fused multiply-add).
     """
     vx, vy = load(state, q + VX), load(state, q + VY)
     forward = speed + vx
@@ -285,6 +301,8 @@ def float_kick(constants, c, state, q, float_, wall, curvature, behind, speed, s
     mass = behind + load(constants, c + HALF_MASS)
     turn = mass * curvature * forward
     cx = cx - 2.0 * turn * vy - mass * slope
+    if len(weighed) > 0:
+        cx = cx - weight_friction(float_, wall, weight, forward, y)
     return cx, cy + turn * forward, ct
 
 
@@ -382,15 +400,17 @@ def move_float(state, q, velocity, dt):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def superelement_advance(
-    parameters, constants, factors, at, last, modes, state, inputs, tops, bottoms, dt, tables, sampling, roots, failed
-):
+    parameters, constants, factors, at, last, modes, options, drags, state, inputs, tops, bottoms, dt, tables, sampling,
+    roots, failed,
+):  # fmt: skip
     """Advance all lanes; returns the number of steps. ``sampling`` as in ``imex_advance``, growth as in ``after_step``.
 
     ``constants`` ((1 + lanes) CONSTANTS, lanes) are those of a pitch, then of rows with a root; ``factors`` are those
     of ``last`` + 1 rows, then of rows with a root; ``at[i]`` is the block of row i. A row is a float and the modes of
     the piece behind it. The lengths of the two tuples ``modes`` are the numbers of even and odd modes; numba compiles a
-    kernel without loops for each length. ``tops`` and ``bottoms`` (steps,) are the last floats of the longest and of
-    the shortest probe.
+    kernel without loops for each length. Likewise ``options``, tuples that are empty or not: whether weight adds to
+    friction, and whether float i has the drag ``drags[i]`` (rows, lanes) instead of that of guide or carrier. ``tops``
+    and ``bottoms`` (steps,) are the last floats of the longest and of the shortest probe.
     """
     first, every, points, samples, tension = sampling
     zero = splat(parameters, 0.0)
@@ -398,11 +418,13 @@ def superelement_advance(
     for lane in range(len(failed)):
         lag[lane] = linear_weights(float(parameters[DAMPING, lane]), dt)[1]
     evens, odds = modes
+    weighed, varied = options
     even, odd = len(evens), len(odds)
     fields = MODES + 2 * (even + odd)
     theta, tau = linear_weights(load(parameters, DAMPING), dt)
     before, now, weight = tau - dt, tau, theta * dt  # p = (p* + before K d_before) - now K d
     curvature, limit = load(parameters, CURVATURE), load(parameters, TENSION)
+    float_weight = load(parameters, WEIGHT)
     floats, wall = load_floats(parameters), load_wall(parameters)
     pitch_half = load(constants, HALF_MASS)
     row, due = 0, first
@@ -418,8 +440,11 @@ def superelement_advance(
             q = i * fields
             c, f = at[i] * CONSTANTS, (min(i, last) if at[i] == 0 else last + at[i]) * FACTORS
             ahead = load(state, q + fields + X), load(state, q + fields + Y), load(state, q + fields + T)
+            float_ = float_at(i, floats)
+            if len(varied) > 0:
+                float_ = float_[0], float_[1], load(drags, i)
             kick = float_kick(
-                constants, c, state, q, float_at(i, floats), wall, curvature, mass, speed, slope, air, here[1]
+                constants, c, state, q, float_, wall, weighed, float_weight, curvature, mass, speed, slope, air, here[1]
             )
             height = magnitude(here[1])
             peak = where_less(peak, height, height, peak)

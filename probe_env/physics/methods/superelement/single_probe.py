@@ -13,7 +13,7 @@ from numba import njit
 
 from probe_env.physics.methods.factors import linear_weights
 from probe_env.physics.methods.imex import load_wall, magnitude
-from probe_env.physics.methods.lane_group import CURVATURE, DAMPING, PEAK, TENSION
+from probe_env.physics.methods.lane_group import CURVATURE, DAMPING, PEAK, TENSION, WEIGHT
 from probe_env.physics.methods.lanes import from_ahead, from_behind, load, splat, store, where_less
 from probe_env.physics.methods.superelement.kernel import (
     MODES,
@@ -132,17 +132,18 @@ def link(a, b, c, links, row, f, x, y, t):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def superelement_advance_single(
-    parameters, constants, factors, links, floats, modes, state, inputs, root, dt, tables, near, sampling
+    parameters, constants, factors, links, floats, modes, weighed, state, inputs, root, dt, tables, near, sampling
 ):
     """Advance one probe that is held at ``root``; see ``kernel.superelement_advance``.
 
     Args:
-        parameters: (24, lanes) of the probe, equal in all lanes.
+        parameters: (25, lanes) of the probe, equal in all lanes.
         constants: (2 CONSTANTS, lanes) of a pitch, and of the block with the root.
         factors: ((blocks + 1) E_SIZE, lanes) E of the floats; further floats use the last block but one; last: root.
         links: (k + 1, LINKS) F and U of the floats; further floats use the last row but one; last: root.
         floats: (blocks FLOATS, lanes).
         modes: two tuples with the lengths of the numbers of even and odd modes.
+        weighed: a tuple, empty if weight is neglected.
         state: (blocks fields, lanes), with a block at rest after the last one.
         inputs: (steps, 4), see model/drive.py.
         root: node that is held.
@@ -165,6 +166,7 @@ def superelement_advance_single(
     theta, tau = linear_weights(load(parameters, DAMPING), dt)
     before, now, weight = tau - dt, tau, theta * dt  # p = (p* + before K d_before) - now K d
     curvature, limit = load(parameters, CURVATURE), load(parameters, TENSION)
+    float_weight = load(parameters, WEIGHT)
     wall = load_wall(parameters)
     row, due, held = 0, first, len(links) - 1
     assign_root(tables, constants, factors, links, root)
@@ -183,7 +185,9 @@ def superelement_advance_single(
             ahead = all_from_ahead(here, further)
             float_ = load(floats, b * FLOATS + LEVER), load(floats, b * FLOATS + GAP), load(floats, b * FLOATS + DRAG)
             half = load(floats, b * FLOATS + BEHIND)
-            kick = float_kick(constants, c, state, q, float_, wall, curvature, half, speed, slope, air, here[1])
+            kick = float_kick(
+                constants, c, state, q, float_, wall, weighed, float_weight, curvature, half, speed, slope, air, here[1]
+            )
             height = magnitude(here[1])
             peak = where_less(peak, height, height, peak)
             done, carried = piece_forces(constants, c, evens, odds, state, q, here, ahead, limit, dt)

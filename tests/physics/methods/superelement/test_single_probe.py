@@ -53,7 +53,7 @@ def test_single_equals_grouped(method, length, stiffness):
             assert np.abs(first).max() > 0.0
             assert (first == second).all()
     held = Simulator(scene, method, 5e-5)
-    assert METHODS[method].kind(held.constants) == MODES[stiffness]
+    assert METHODS[method].kind(held.constants)[:2] == MODES[stiffness]
     assert alone[1] > held.root + 8 * 4  # the root has gone beyond the lanes of a block
 
 
