@@ -33,6 +33,7 @@ KPIS: Final[Kpis] = {
 OF_INSTRUMENT: Final[Kpis] = {
     "length_too_fast_m": ("length too fast", 1.0, "m"),
     "speed_excess_m_per_s": ("most above the permitted speed", 1.0, "m/s"),
+    "length_sensor_too_fast_m": ("length too fast with axial vibration", 1.0, "m"),
     "length_to_repeat_m": ("length to repeat", 1.0, "m"),
 }
 """KPIs of episodes of a plant with an instrument, after the others."""
@@ -57,9 +58,9 @@ PROFILE_COLUMNS: Final = ("time", "inserted_length", "feed_speed", "air_supply_r
 """Columns of an episode's profile, SI units."""
 PROFILE_COLUMNS_NEWER: Final = ("noise_rms_m",)
 """Columns that older profiles lack: noise in the band of a flaw, as radial rms [m]."""
-PROFILE_COLUMNS_INSTRUMENT: Final = ("highest_feed", "permitted_feed")
-"""Columns of profiles with an instrument: highest feed of a control period in the metre, and the permitted speed (NaN:
-no limit) [m/s]."""
+PROFILE_COLUMNS_INSTRUMENT: Final = ("highest_feed", "axial_velocity_rms", "permitted_speed")
+"""Columns of profiles with an instrument [m/s]: highest feed of a control period in the metre, rms of the sensor's
+axial velocity about its mean (NaN: not simulated), and the permitted speed (NaN: no limit)."""
 SCORED_PASSES: Final[dict[str, str]] = {"in": "the insertion", "back": "the withdrawal", "best": "the better of both"}
 """Values of ``TaskConfig.inspects`` -> label."""
 

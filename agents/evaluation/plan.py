@@ -287,14 +287,18 @@ def per_metre(profile: list[tuple[float, ...]]) -> dict[str, npt.NDArray[np.floa
     return {name: means[name].to_numpy() for name in COLUMNS}
 
 
-def instrument_columns(profile: list[tuple[float, ...]], config: TaskConfig) -> dict[str, npt.NDArray[np.float64]]:
-    """Columns ``PROFILE_COLUMNS_INSTRUMENT`` of each metre of ``per_metre``."""
+def instrument_columns(
+    profile: list[tuple[float, ...]], axial: list[float], config: TaskConfig
+) -> dict[str, npt.NDArray[np.float64]]:
+    """Columns ``PROFILE_COLUMNS_INSTRUMENT`` of each metre of ``per_metre``; ``axial`` as in ``RolloutRunner``."""
     if not profile:
         return {name: np.zeros(0) for name in PROFILE_COLUMNS_INSTRUMENT}
     periods, metre = _periods(profile)
-    highest, permitted = periods["feed_speed"].groupby(metre).max().to_numpy(), config.permitted_speed[0]
+    highest = periods["feed_speed"].groupby(metre).max().to_numpy()
+    vibration = np.sqrt((pd.Series(axial) ** 2).groupby(metre).mean().to_numpy())
+    permitted = config.permitted_speed[0]
     limits = np.full(len(highest), permitted if np.isfinite(permitted) else np.nan)
-    return dict(zip(PROFILE_COLUMNS_INSTRUMENT, (highest, limits), strict=True))
+    return dict(zip(PROFILE_COLUMNS_INSTRUMENT, (highest, vibration, limits), strict=True))
 
 
 def _periods(profile: list[tuple[float, ...]]) -> tuple[pd.DataFrame, pd.Series]:
@@ -316,6 +320,7 @@ class RolloutRunner:
         episodes: the running episodes.
         units: unit of each lane.
         profile: for each lane, one row per control period of the insertion so far, columns ``COLUMNS``.
+        axial: for each row of ``profile``, rms of the sensor's axial velocity [m/s]; NaN: not simulated.
         decided: whether ``actions`` are those of the next period.
         actions: (N, 2) last actions.
         last: the last period; None before the first.
@@ -336,6 +341,7 @@ class RolloutRunner:
         )
         self.units: list[Unit | None] = [None] * count
         self.profile: list[list[tuple[float, ...]]] = [[] for _ in range(count)]
+        self.axial: list[list[float]] = [[] for _ in range(count)]
         self.decided = False
         self.actions = np.zeros((count, 2), dtype=np.float32)
         self.last: Step | None = None
@@ -360,7 +366,7 @@ class RolloutRunner:
         fresh = {k: self.missing.popleft() for k in idle[: len(self.missing)]}
         if fresh:
             for k, unit in fresh.items():
-                self.units[k], self.profile[k] = unit, []
+                self.units[k], self.profile[k], self.axial[k] = unit, [], []
                 self._players.begin(k, self.plan.policies[unit[0]])
             options = {k: {"context": self.plan.contexts[context]} for k, (_, context, _) in fresh.items()}
             rngs = {k: np.random.default_rng([seed, context]) for k, (_, context, seed) in fresh.items()}
@@ -377,15 +383,17 @@ class RolloutRunner:
         step = self.last = self.episodes.step(self.actions, self.active)
         self.decided = False
         self._observation = step.observation
+        window = getattr(self.episodes, "window", None)  # the surrogate has none
         for k in np.flatnonzero(self.active).tolist():
             info = step.infos[k]
             if direction[k] > 0.0:
+                self.axial[k].append(float(window.statistics["axial_velocity_rms_m_per_s"][k]) if window else np.nan)
                 self.profile[k].append(tuple(float(info.get(name, np.nan)) for name in COLUMNS))
             if "episode_kpis" in info:
                 unit, metres = self.unit(k), per_metre(self.profile[k])
                 kpis = with_pod_columns(info["episode_kpis"])
                 if is_judged(self.plan.config):
-                    metres |= instrument_columns(self.profile[k], self.plan.config)
+                    metres |= instrument_columns(self.profile[k], self.axial[k], self.plan.config)
                     stretches = stretches_of(metres, self.plan.config, kpis["complete"] > 0.0, kpis["lost_drive"] > 0.0)
                     kpis |= instrument_kpis(stretches, self.plan.config)
                 profile = {name: [float(f"{v:.5g}") for v in values] for name, values in metres.items()}

@@ -38,6 +38,7 @@ class Stretches:
     Attributes:
         begin, end: inserted length.
         feed: highest feed.
+        axial: rms of the sensor's axial velocity about its mean.
         air: air supply rate.
         vibration: rms in the measure of the task: radial, or noise in the band of a flaw.
         tension: mean root tension.
@@ -47,6 +48,7 @@ class Stretches:
     begin: FloatArray
     end: FloatArray
     feed: FloatArray
+    axial: FloatArray
     air: FloatArray
     vibration: FloatArray
     tension: FloatArray
@@ -99,6 +101,7 @@ def stretches_of(
         begin=np.concatenate([[first], ends[:-1]]),
         end=ends,
         feed=column("highest_feed"),
+        axial=column("axial_velocity_rms"),
         air=column("air_supply_rate"),
         vibration=column(PROFILED.get(config.vibration_measure, "")),
         tension=tension,
@@ -166,13 +169,20 @@ def is_judged(config: TaskConfig) -> bool:
 
 
 def instrument_kpis(stretches: Stretches, config: TaskConfig) -> dict[str, float]:
-    """Length driven too fast [m], most speed above the permitted one [m/s], and length to repeat [m]."""
+    """Length driven too fast [m], most speed above the permitted one [m/s], and length to repeat [m].
+
+    Unless the axial velocity is unknown, also the length [m] in which the sum of feed and its rms is too fast.
+    """
     too_fast, intervals = stretches.reasons(config)[SPEED], intervals_to_repeat(stretches, config)
-    return {
-        "length_too_fast_m": float((stretches.end - stretches.begin)[too_fast].sum()),
+    length, limit = stretches.end - stretches.begin, config.permitted_speed[0] * (1.0 + TOLERANCE)
+    kpis = {
+        "length_too_fast_m": float(length[too_fast].sum()),
         "speed_excess_m_per_s": float((stretches.feed[too_fast] - config.permitted_speed[0]).max(initial=0.0)),
         "length_to_repeat_m": float((intervals["to_m"] - intervals["from_m"]).sum()),
     }
+    if np.isfinite(stretches.axial).any() or not np.isfinite(stretches.feed).any():
+        kpis["length_sensor_too_fast_m"] = float(length[stretches.feed + stretches.axial > limit].sum())
+    return kpis
 
 
 def cases_of(table: pd.DataFrame, profile: pd.DataFrame, config: TaskConfig) -> dict[Key, Case]:
@@ -220,6 +230,8 @@ class Verdict:
         length: mean length driven too fast [m].
         excess: most speed above the permitted one [m/s].
         repeat: mean length to repeat, for all reasons [m].
+        sensor_length: mean length in which the sum of feed and rms of the axial velocity is above the permitted speed
+            [m]; NaN: not known.
     """
 
     policy: str
@@ -229,6 +241,7 @@ class Verdict:
     length: float
     excess: float
     repeat: float
+    sensor_length: float
 
     @property
     def allowed(self) -> bool:
@@ -249,6 +262,7 @@ def verdict_of(policy: str, cases: Sequence[Case], config: TaskConfig) -> Verdic
     return Verdict(
         policy, *config.permitted_speed, too_fast, float(mean["length_too_fast_m"]),
         float(kpis["speed_excess_m_per_s"].max()), float(mean["length_to_repeat_m"]),
+        float(mean.get("length_sensor_too_fast_m", math.nan)),
     )  # fmt: skip
 
 
@@ -257,12 +271,14 @@ def verdict_text(verdict: Verdict, tubes: int = 1) -> str:
     if not verdict.requirement:
         return "no speed limit of the instrument is set"
     limit = f"{verdict.permitted:.3g} m/s ({verdict.requirement})"
-    if verdict.allowed:
-        return f"allowed: at most {limit} everywhere"
-    where = ", ".join(f"{begin:.1f} to {end:.1f}" for begin, end in verdict.too_fast)
     mean, some = (" in the mean", "in some tube ") if tubes > 1 else ("", "")
+    sensor = f"; with its axial vibration (rms) the sensor is above it in {verdict.sensor_length:.1f} m{mean}"
+    sensor = sensor if verdict.sensor_length > verdict.length else ""
+    if verdict.allowed:
+        return f"allowed: at most {limit} everywhere{sensor}"
+    where = ", ".join(f"{begin:.1f} to {end:.1f}" for begin, end in verdict.too_fast)
     length, excess = f"{verdict.length:.1f} m{mean}", f"{verdict.excess:.3g} m/s"
-    return f"not allowed: {length} above {limit}, by up to {excess}; {some}at {where} m"
+    return f"not allowed: {length} above {limit}, by up to {excess}; {some}at {where} m{sensor}"
 
 
 def share_to_repeat(intervals: Sequence[pd.DataFrame], edges: FloatArray) -> FloatArray:

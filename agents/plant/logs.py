@@ -197,6 +197,7 @@ def log_stretches(log: Log, config: TaskConfig) -> Stretches:
         begin=edges[:-1],
         end=edges[1:],
         feed=column(log.feed_speed, np.max),
+        axial=column(None, np.mean),
         air=column(log.air_supply_rate, np.mean),
         vibration=column(log.measured.get(NOISE), lambda values: np.sqrt(np.mean(values**2))),
         tension=column(log.measured.get("root_tension"), np.mean),
@@ -205,7 +206,7 @@ def log_stretches(log: Log, config: TaskConfig) -> Stretches:
     if helix - end[-1] < NEAR_END:
         return stretches
     unknown = np.array([np.nan])
-    rest = Stretches(end[-1:], np.array([helix]), unknown, unknown, unknown, unknown, np.array([True]))
+    rest = Stretches(end[-1:], np.array([helix]), unknown, unknown, unknown, unknown, unknown, np.array([True]))
     pairs = ((getattr(stretches, f.name), getattr(rest, f.name)) for f in fields(Stretches))
     return Stretches(*map(np.concatenate, pairs))
 

@@ -1,12 +1,17 @@
 """Verdicts on the speed and metres to repeat: cases worked by hand, and the pass that repeats them."""
 
+from urllib.parse import unquote
+
 import numpy as np
 import pandas as pd
 import pytest
 
 from agents.cli import main
 from agents.evaluation.folder import read_evaluation
+from agents.evaluation.plan import Plan
+from agents.evaluation.profiles import downloads
 from agents.evaluation.repeat import (
+    CASE,
     INTERVAL,
     instrument_kpis,
     intervals_to_repeat,
@@ -18,8 +23,14 @@ from agents.evaluation.repeat import (
     verdict_of,
     verdict_text,
 )
+from agents.evaluation.report import descriptions, procedure
+from agents.evaluation.run import evaluate_plan
+from agents.policies.fixed import Scheduled
+from agents.policies.wrappers import SpeedLimited
 from probe_env import Context, TaskConfig
 from probe_env.envs.vibration_map import CONTEXT, stored_map
+from probe_env.fidelity import resolve_fidelity
+from probe_env.schedule import Schedule
 
 CONFIG = TaskConfig(instrument={"test_frequency": 100.0})
 """Permits 100 Hz / 4 x 20 mm / 2 = 0.25 m/s; the vibration limit is 0.1 mm."""
@@ -102,6 +113,14 @@ def test_noise_is_compared_in_the_measure_of_the_task():
     metres = insertion(vibration=1.0, noise_rms_m=lambda metre: np.where(metre > 35.0, 1.01, 0.99) * limit)
     assert judged(metres, snr)[1] == [(35.0, 60.0, "noise")]
     assert judged(metres, CONFIG.model_copy(update={"vibration_measure": "velocity"}))[1] == []
+
+
+def test_the_axial_vibration_of_the_sensor_is_added_to_the_feed_for_information():
+    """0.2 m/s and 0.06 m/s rms are above 0.25 m/s, from 40 m on; the list of metres is by the feed alone."""
+    metres = insertion(axial_velocity_rms=lambda metre: np.where(metre > 40.0, 0.06, 0.04))
+    verdict, intervals = judged(metres)
+    assert (verdict.allowed, verdict.sensor_length, intervals) == (True, 20.0, [])
+    assert verdict_text(verdict).endswith("everywhere; with its axial vibration (rms) the sensor is above it in 20.0 m")
 
 
 def test_withdrawals_and_constant_lengths_are_not_judged():
@@ -192,7 +211,7 @@ def test_evaluate_holds_policies_judges_schedules_and_takes_the_repeated_pass(tu
     done = read_evaluation(folder)
     table, profile = (frame.groupby("policy") for frame in (done.table, done.profile))
     assert profile["highest_feed"].max().to_dict() == pytest.approx({"slow-down": 0.25, "adaptive": 0.25, "mine": 0.4})
-    assert (done.profile["permitted_feed"] == 0.25).all()
+    assert (done.profile["permitted_speed"] == 0.25).all()
     kpis = table[["length_too_fast_m", "speed_excess_m_per_s"]].max()
     assert (kpis.loc[["slow-down", "adaptive"]] == 0.0).all(axis=None)
     # a period of 1 s may end up to 0.4 m behind 20 m
@@ -217,4 +236,30 @@ def test_evaluate_holds_policies_judges_schedules_and_takes_the_repeated_pass(tu
 
 def test_kpis_of_an_insertion_that_diverged_at_once():
     kpis = instrument_kpis(stretches_of({"inserted_length": np.array([np.nan])}, CONFIG, complete=False), CONFIG)
-    assert kpis == {"length_too_fast_m": 0.0, "speed_excess_m_per_s": 0.0, "length_to_repeat_m": 55.0}
+    nothing = ("length_too_fast_m", "speed_excess_m_per_s", "length_sensor_too_fast_m")
+    assert kpis == dict.fromkeys(nothing, 0.0) | {"length_to_repeat_m": 55.0}
+
+
+def test_a_report_of_one_tube_lists_the_metres_and_offers_what_was_driven(tmp_path):
+    """At 0.3 m/s in a helix of 8 m: 3 m are above 0.25 m/s, unless the speed is limited."""
+    config = CONFIG.model_copy(update={"scene": {"carrier_length": 2.5, "tube": {"helix_length": 8.0}}})
+    constant = Scheduled(config, Schedule("inserted_length", "steps", (5.0,), (0.3,), (0.02,)))
+    policies = {"mine": constant, "held": SpeedLimited(config, constant)}
+    plan = Plan(policies, [Context()], config=config, fidelity=resolve_fidelity("fast", config.scene))
+    evaluate_plan(plan, tmp_path)
+    done = read_evaluation(tmp_path)
+    highest = done.profile.groupby("policy")["highest_feed"].max().to_dict()
+    assert highest == pytest.approx({"mine": 0.3, "held": 0.25})
+    assert (done.profile["axial_velocity_rms"] > 0.0).all()
+    expected = pd.DataFrame([("mine", 0, 0, 5.0, 8.0, "speed")], columns=[*CASE, *INTERVAL])
+    pd.testing.assert_frame_equal(pd.read_csv(tmp_path / "repeat.csv"), expected)
+    assert [file.name for file in tmp_path.glob("repeat-*.csv")] == ["repeat-mine.csv"]
+    verdicts, (header, rows) = procedure(done)
+    assert list(verdicts) == ["mine", "held"]
+    assert header == ["policy", "from [m]", "to [m]", "reason"]
+    assert [[row.head, *(cell.text for cell in row.cells)] for row in rows] == [["mine", "5.0", "8.0", "speed"]]
+    offered = {
+        item.policy: unquote(item.address) for item in downloads(descriptions(done), done.table, done.profile)[0]
+    }
+    assert offered["mine"].endswith("5,0.3,72\n")
+    assert offered["held"].endswith("5,0.25,72\n")
