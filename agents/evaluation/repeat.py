@@ -27,6 +27,8 @@ TOLERANCE: Final = 1e-3
 """Share by which a feed may exceed the permitted speed: actions and profiles are rounded."""
 QUIET_FEEDS: Final = 40
 """Feeds among which the quiet speed is searched."""
+SETTLING: Final = 2.0
+"""Time in which the vibration follows a change of the feed [s], see ``probe_env.envs.vibration_map``."""
 GRID: Final = 0.1
 """Spacing of the points of a repeated pass [m]."""
 
@@ -331,8 +333,9 @@ def repeat_schedule(
     """Schedule of a pass that inspects only the intervals to repeat of some tubes, at least one interval.
 
     Elsewhere it has the fastest feed. Inside, it has the permitted feed; where the reason is not only the speed, at
-    most the slowest of the tubes' ``quiet_feeds``. It brakes before an interval, by the ramp and within one control
-    period. The air is the mean of the tubes', and the most from the first metre with lost drive on.
+    most the slowest of the tubes' ``quiet_feeds``, from ``SETTLING`` before the interval on. It brakes before that, by
+    the ramp and within one control period. The air is the mean of the tubes', and the most from the first metre with
+    lost drive on.
 
     Args:
         cases: stretches, intervals and tube of each insertion.
@@ -348,14 +351,16 @@ def repeat_schedule(
         piece = np.searchsorted(stretches.end, at + 0.5 * GRID).clip(max=len(stretches.end) - 1)
         quiet = np.minimum(quiet_feeds(stretches, context, config, vibration), config.permitted_feed)[piece]
         for begin, to, reason in intervals.itertuples(index=False):
-            inside = (at > begin - GRID) & (at < to - 1e-9)
-            feed[inside] = np.minimum(feed, config.permitted_feed if reason == SPEED else quiet)[inside]
+            slow = np.full(len(at), config.permitted_feed) if reason == SPEED else quiet
+            ahead = 0.0 if reason == SPEED else SETTLING * time_lapse * slow[max(np.searchsorted(at, begin) - 1, 0)]
+            inside = (at > begin - ahead - GRID) & (at < to - 1e-9)
+            feed[inside] = np.minimum(feed, slow)[inside]
             lost |= inside & (DRIVE in reason)
         airs.append(_air_of(stretches, config)[piece])
     if step > 0.0:
         feed = np.maximum(step * np.floor(feed / step * (1.0 + 1e-9)), slowest)
-    ahead = math.ceil(fastest * config.period * (1 + config.delay_periods) / GRID)
-    feed = np.array([feed[k : k + ahead + 1].min() for k in range(len(feed))])
+    points = math.ceil(fastest * config.period * (1 + config.delay_periods) / GRID)  # in a period
+    feed = np.array([feed[k : k + points + 1].min() for k in range(len(feed))])
     for k in range(len(feed) - 2, -1, -1):
         feed[k] = min(feed[k], math.sqrt(feed[k + 1] ** 2 + 2.0 * config.ramp * GRID / time_lapse))
     air = np.where(np.maximum.accumulate(lost), config.air_supply_rates[1], np.mean(airs, axis=0))
