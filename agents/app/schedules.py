@@ -17,7 +17,7 @@ from scipy.special import ndtr
 
 from agents.plant.logs import read_log
 from agents.policies.cases import EvaluationCase
-from agents.policies.catalogue import BY_DIAMETER, STORED, make_policy
+from agents.policies.catalogue import BY_DIAMETER, STORED, is_schedule_file, make_policy
 from agents.policies.fixed import FixedPolicy, Replayed
 from agents.policies.on_map import FIRST
 from probe_env.arrays import FloatArray
@@ -149,6 +149,8 @@ def policy_line(spec: str, case: EvaluationCase) -> Line:
     tube = {name: np.full(len(length), value) for name, value in case.contexts[0].model_dump().items()}
     observation = tube | {"time": np.zeros(len(length)), "inserted_length": length}
     feed, air = case.config.feasible(*policy.targets(observation, np.zeros((len(length), policy.memory)))).T
+    if not is_schedule_file(spec):
+        feed = np.minimum(feed, case.config.permitted_feed)
     return Line(length, feed, air)
 
 

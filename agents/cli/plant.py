@@ -33,6 +33,9 @@ class ReadLog:
     """Form of the times for strptime, like "%d.%m.%y %H:%M:%S"; default: detected."""
     output: File = None
     """Clean file (.csv), or - to print it and nothing else; default: output/NAME-clean.csv."""
+    tube: File = None
+    """Your plant (tube.toml) with [instrument]: prints whether the feed is allowed, and writes the metres to repeat
+    (NAME-to-repeat.csv) and a schedule of them (repeat-NAME.csv) next to the clean file."""
     plot: File = None
     """Figure of all channels over time and length (.png, .pdf or .svg)."""
     sheet: Annotated[str | None, hide_default()] = None
@@ -55,7 +58,8 @@ class ReadLog:
     def run(self) -> None:
         """Read, write, print."""
         from agents.plant.cleaning import Bounds
-        from agents.plant.logs import check_picture, draw_log, print_log, read_log
+        from agents.plant.logs import check_picture, draw_log, print_log, read_log, write_repeat
+        from agents.policies.cases import load_case
         from agents.records.atomic import STANDARD_OUTPUT, write_text
         from agents.records.shipped import file_or_shipped
         from agents.terminal.names import name_of
@@ -70,6 +74,13 @@ class ReadLog:
         for target in (output, self.plot):
             if target and (target.resolve() == path.resolve() or (target.exists() and target.samefile(path))):
                 raise ValueError(f"{str(target)!r} is the log itself; choose another file")
+        case = None if self.tube is None else load_case(self.tube, "test")
+        if case and case.config.instrument is None:
+            raise ValueError(
+                f"{self.tube}: instrument: missing, so the log cannot be judged: add the table [instrument]"
+            )
+        if case and output in STANDARD_OUTPUT:
+            raise ValueError("tube: the metres to repeat are files next to --output, which is - here")
         air = None if self.air_supply is None else self.air_supply / 3600.0
         log = read_log(
             path,
@@ -85,6 +96,7 @@ class ReadLog:
         written = [output, *([draw_log(log, self.plot)] if self.plot else [])]
         if output not in STANDARD_OUTPUT:
             print_log(log, path)
+            written += write_repeat(log, name_of(path), case, output.parent) if case else []
             print_line(f"written: {', '.join(map(str, written))}")
 
 

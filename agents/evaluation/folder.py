@@ -18,7 +18,16 @@ import pandas as pd
 from pydantic import FiniteFloat, NonNegativeInt, model_validator
 from pydantic_core import PydanticCustomError
 
-from agents.evaluation.kpis import CORE, CORE_FAILURES, COST_KPIS, KPIS, PROFILE_COLUMNS, PROFILE_COLUMNS_NEWER
+from agents.evaluation.kpis import (
+    CORE,
+    CORE_FAILURES,
+    COST_KPIS,
+    KPIS,
+    OF_INSTRUMENT,
+    PROFILE_COLUMNS,
+    PROFILE_COLUMNS_INSTRUMENT,
+    PROFILE_COLUMNS_NEWER,
+)
 from agents.evaluation.statistics import grouped
 from agents.records.models import Journal, Key, Record, Stored, read_json, require
 from agents.records.tables import Columns, Kind, check_table, read_csv, read_parquet
@@ -37,12 +46,12 @@ EPISODES: Final[Columns] = {
     **CASE, **dict.fromkeys((*Context.model_fields, *CORE, "complete", *CORE_FAILURES), "number")
 }  # fmt: skip
 """Columns of every ``episodes.csv`` and ``episodes.parquet``."""
-EPISODES_NEWER: Final[Columns] = dict.fromkeys((*KPIS, *COST_KPIS, *POD_NAMES, *ENDINGS), "number")
+EPISODES_NEWER: Final[Columns] = dict.fromkeys((*KPIS, *OF_INSTRUMENT, *COST_KPIS, *POD_NAMES, *ENDINGS), "number")
 """Columns that tables of older versions lack."""
 PROFILE: Final[Columns] = {**dict.fromkeys(PROFILE_COLUMNS, "maybe"), **CASE}
 """Columns of ``profile.parquet``, one row per metre; NaN where a probe diverged."""
-PROFILE_NEWER: Final[Columns] = dict.fromkeys(PROFILE_COLUMNS_NEWER, "maybe")
-"""Columns that profiles of older versions lack."""
+PROFILE_NEWER: Final[Columns] = dict.fromkeys((*PROFILE_COLUMNS_NEWER, *PROFILE_COLUMNS_INSTRUMENT), "maybe")
+"""Columns that profiles of older versions, or without an instrument, lack."""
 Unit = tuple[str, int, int]
 """Policy name, context number and seed of an episode."""
 Planned = tuple[str, str, int, int]
@@ -192,7 +201,7 @@ def read_evaluation(folder: Path) -> Evaluation:
     paths = [folder / name for name in ("episodes.parquet", "profile.parquet", "manifest.json")]
     if missing := [path for path in paths if not path.exists()]:
         raise FileNotFoundError(errno.ENOENT, "no evaluation is stored there", str(missing[0]))
-    table, profile = grouped(read_episodes(paths[0])), grouped(read_parquet(paths[1], PROFILE))
+    table, profile = grouped(read_episodes(paths[0])), grouped(read_parquet(paths[1], PROFILE, PROFILE_NEWER))
     if not set(profile["policy"]) <= set(table["policy"]):
         raise FileError(paths[1], "has policies that are not in episodes.parquet: evaluate again into this folder")
     against, own = _report_settings(folder, table, strict=True)
@@ -221,7 +230,7 @@ def _interrupted(folder: Path) -> Evaluation:
     chosen = comparable(stored)
     table, profile = collect_tables(chosen, plan.contexts, done)
     check_table(journal.path, table, EPISODES, EPISODES_NEWER)
-    check_table(journal.path, profile, PROFILE)
+    check_table(journal.path, profile, PROFILE, PROFILE_NEWER)
     table, profile = grouped(table), grouped(profile)
     total = Counter(name for _, name, _, _ in plan.episodes)
     absent = Counter(name for key, name, _, _ in plan.episodes if key not in done)

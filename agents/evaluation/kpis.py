@@ -30,6 +30,13 @@ KPIS: Final[Kpis] = {
     **DETECTION,
 }
 """KPIs of episodes, in the order of tables."""
+OF_INSTRUMENT: Final[Kpis] = {
+    "length_too_fast_m": ("length too fast", 1.0, "m"),
+    "speed_excess_m_per_s": ("most above the permitted speed", 1.0, "m/s"),
+    "length_sensor_too_fast_m": ("length too fast with axial vibration", 1.0, "m"),
+    "length_to_repeat_m": ("length to repeat", 1.0, "m"),
+}
+"""KPIs of episodes of a plant with an instrument, after the others."""
 CORE: Final = ("reward", "inspection_time_s", "share_within_limit", "radial_rms_m")
 """KPIs that every table of episodes has."""
 CORE_FAILURES: Final = ("lost_drive", "diverged")
@@ -51,6 +58,9 @@ PROFILE_COLUMNS: Final = ("time", "inserted_length", "feed_speed", "air_supply_r
 """Columns of an episode's profile, SI units."""
 PROFILE_COLUMNS_NEWER: Final = ("noise_rms_m",)
 """Columns that older profiles lack: noise in the band of a flaw, as radial rms [m]."""
+PROFILE_COLUMNS_INSTRUMENT: Final = ("highest_feed", "axial_velocity_rms", "permitted_speed")
+"""Columns of profiles with an instrument [m/s]: highest feed of a control period in the metre, rms of the sensor's
+axial velocity about its mean (NaN: not simulated), and the permitted speed (NaN: no limit)."""
 SCORED_PASSES: Final[dict[str, str]] = {"in": "the insertion", "back": "the withdrawal", "best": "the better of both"}
 """Values of ``TaskConfig.inspects`` -> label."""
 
@@ -60,7 +70,7 @@ def label_of(failure: str) -> str:
     return failure.replace("_", " ")
 
 
-def kpis_of(columns: Iterable[str], kpis: Kpis = KPIS) -> Kpis:
+def kpis_of(columns: Iterable[str], kpis: Kpis = KPIS | OF_INSTRUMENT) -> Kpis:
     """The KPIs among the columns of a table; for designs with ``OF_DESIGNS``."""
     names = set(columns)
     return {name: label for name, label in kpis.items() if name in names}

@@ -29,7 +29,16 @@ from agents.evaluation.folder import (
     episodes_of,
 )
 from agents.evaluation.folder import Unit as Unit
-from agents.evaluation.kpis import PROFILE_COLUMNS, PROFILE_COLUMNS_NEWER
+from agents.evaluation.kpis import PROFILE_COLUMNS, PROFILE_COLUMNS_INSTRUMENT, PROFILE_COLUMNS_NEWER
+from agents.evaluation.profiles import file_name
+from agents.evaluation.repeat import (
+    cases_of,
+    instrument_kpis,
+    is_judged,
+    repeat_schedule,
+    repeat_table,
+    stretches_of,
+)
 from agents.evaluation.workers import HERE, Workers
 from agents.policies.planner import ModelPredictivePolicy
 from agents.policies.policy import Policy as Policy
@@ -45,7 +54,7 @@ from probe_env.envs.episodes import Step
 from probe_env.envs.episodes.starts import Probes
 from probe_env.envs.task import VISIBLE_FIELDS, TaskConfig, describe
 from probe_env.envs.trials import PolicyBatch
-from probe_env.envs.vibration_map import VibrationMap
+from probe_env.envs.vibration_map import VibrationMap, stored_map
 from probe_env.fidelity import measured_errors
 from probe_env.files import FileError
 from probe_env.inspection.metrics import with_pod_columns
@@ -177,10 +186,29 @@ def run_plan(
         buffer = io.BytesIO()
         frame.to_parquet(buffer, index=False)
         write_atomically(output / f"{name}.parquet", buffer.getvalue())
-    files, policies = (*FILES, "setting.json"), plan.described()["policies"]
+    files, policies = (
+        (*FILES, "setting.json", *_write_repeat(plan, table, profile, output)),
+        plan.described()["policies"],
+    )
     write_manifest(output, files, seeds=plan.seeds, command=command, commits=table["commit"], policies=policies)
     (output / UNFINISHED).unlink(missing_ok=True)
     return table
+
+
+def _write_repeat(plan: Plan, table: pd.DataFrame, profile: pd.DataFrame, output: Path) -> list[str]:
+    """Write the metres to repeat, and a schedule of them for each policy; returns the names of the files."""
+    if not is_judged(plan.config):
+        return []
+    cases = cases_of(table, profile, plan.config)
+    contents = {"repeat.csv": repeat_table(cases).to_csv(index=False, float_format="%.6g")}
+    for policy in plan.policies:
+        own = [(*part, plan.contexts[int(key[1])]) for key, part in cases.items() if key[0] == policy]
+        if any(len(intervals) for _, intervals, _ in own):
+            schedule = repeat_schedule(own, plan.config, plan.vibration or stored_map(), plan.fidelity.time_lapse)
+            contents[f"repeat-{file_name(policy)}.csv"] = schedule.to_csv()
+    for name, text in contents.items():
+        write_atomically(output / name, text)
+    return list(contents)
 
 
 def core_seconds(plan: Plan, policy: str) -> float:
@@ -250,15 +278,33 @@ def per_metre(profile: list[tuple[float, ...]]) -> dict[str, npt.NDArray[np.floa
     squared = ["radial_rms_m", *PROFILE_COLUMNS_NEWER]
     if not profile:
         return {name: np.zeros(0) for name in COLUMNS}
-    periods = pd.DataFrame(profile, columns=list(COLUMNS))
-    # a period that ends on a whole metre belongs to the metre before
-    metre = np.ceil(periods["inserted_length"] - 1e-6) - 1.0
+    periods, metre = _periods(profile)
     groups = periods.assign(**{name: periods[name] ** 2 for name in squared}).groupby(metre)
     means = groups.mean()
     means[squared] **= 0.5
     means["time"] = groups["time"].max()
     means["inserted_length"] = means.index + 0.5
     return {name: means[name].to_numpy() for name in COLUMNS}
+
+
+def instrument_columns(
+    profile: list[tuple[float, ...]], axial: list[float], config: TaskConfig
+) -> dict[str, npt.NDArray[np.float64]]:
+    """Columns ``PROFILE_COLUMNS_INSTRUMENT`` of each metre of ``per_metre``; ``axial`` as in ``RolloutRunner``."""
+    if not profile:
+        return {name: np.zeros(0) for name in PROFILE_COLUMNS_INSTRUMENT}
+    periods, metre = _periods(profile)
+    highest = periods["feed_speed"].groupby(metre).max().to_numpy()
+    vibration = np.sqrt((pd.Series(axial) ** 2).groupby(metre).mean().to_numpy())
+    permitted = config.permitted_speed[0]
+    limits = np.full(len(highest), permitted if np.isfinite(permitted) else np.nan)
+    return dict(zip(PROFILE_COLUMNS_INSTRUMENT, (highest, vibration, limits), strict=True))
+
+
+def _periods(profile: list[tuple[float, ...]]) -> tuple[pd.DataFrame, pd.Series]:
+    """Control periods (columns ``COLUMNS``) and the metre of each; one that ends on a whole metre is in that before."""
+    periods = pd.DataFrame(profile, columns=list(COLUMNS))
+    return periods, np.ceil(periods["inserted_length"] - 1e-6) - 1.0
 
 
 class RolloutRunner:
@@ -274,6 +320,7 @@ class RolloutRunner:
         episodes: the running episodes.
         units: unit of each lane.
         profile: for each lane, one row per control period of the insertion so far, columns ``COLUMNS``.
+        axial: for each row of ``profile``, rms of the sensor's axial velocity [m/s]; NaN: not simulated.
         decided: whether ``actions`` are those of the next period.
         actions: (N, 2) last actions.
         last: the last period; None before the first.
@@ -294,6 +341,7 @@ class RolloutRunner:
         )
         self.units: list[Unit | None] = [None] * count
         self.profile: list[list[tuple[float, ...]]] = [[] for _ in range(count)]
+        self.axial: list[list[float]] = [[] for _ in range(count)]
         self.decided = False
         self.actions = np.zeros((count, 2), dtype=np.float32)
         self.last: Step | None = None
@@ -318,7 +366,7 @@ class RolloutRunner:
         fresh = {k: self.missing.popleft() for k in idle[: len(self.missing)]}
         if fresh:
             for k, unit in fresh.items():
-                self.units[k], self.profile[k] = unit, []
+                self.units[k], self.profile[k], self.axial[k] = unit, [], []
                 self._players.begin(k, self.plan.policies[unit[0]])
             options = {k: {"context": self.plan.contexts[context]} for k, (_, context, _) in fresh.items()}
             rngs = {k: np.random.default_rng([seed, context]) for k, (_, context, seed) in fresh.items()}
@@ -335,14 +383,20 @@ class RolloutRunner:
         step = self.last = self.episodes.step(self.actions, self.active)
         self.decided = False
         self._observation = step.observation
+        window = getattr(self.episodes, "window", None)  # the surrogate has none
         for k in np.flatnonzero(self.active).tolist():
             info = step.infos[k]
             if direction[k] > 0.0:
+                self.axial[k].append(float(window.statistics["axial_velocity_rms_m_per_s"][k]) if window else np.nan)
                 self.profile[k].append(tuple(float(info.get(name, np.nan)) for name in COLUMNS))
             if "episode_kpis" in info:
                 unit, metres = self.unit(k), per_metre(self.profile[k])
-                profile = {name: [float(f"{v:.5g}") for v in values] for name, values in metres.items()}
                 kpis = with_pod_columns(info["episode_kpis"])
+                if is_judged(self.plan.config):
+                    metres |= instrument_columns(self.profile[k], self.axial[k], self.plan.config)
+                    stretches = stretches_of(metres, self.plan.config, kpis["complete"] > 0.0, kpis["lost_drive"] > 0.0)
+                    kpis |= instrument_kpis(stretches, self.plan.config)
+                profile = {name: [float(f"{v:.5g}") for v in values] for name, values in metres.items()}
                 record = {"key": self.plan.key(unit), "unit": unit, "commit": commit(), "kpis": kpis}
                 probe = {"probe": self._probes[k]} if k in self._probes else {}
                 yield json.dumps(record | {"profile": profile} | probe) + "\n"

@@ -107,17 +107,21 @@ def downloads(
         described = policies.get(policy, {})
         back = described.get("back")
         fixed = back is not None or not returns
+        permitted = described.get("permitted_feed")  # of ``SpeedLimited``
         described = inner_policy(described)
         schedules = (_fixed_schedules(described) or _median_schedule(policy, table, profile)) if fixed else {}
         for what, schedule in schedules.items():
-            file = f"{_file_name(policy)}{'-' + _file_name(what) if len(schedules) > 1 else ''}.csv"
+            if permitted is not None:
+                schedule = replace(schedule, feed_speed=tuple(min(feed, permitted) for feed in schedule.feed_speed))
+            file = f"{file_name(policy)}{'-' + file_name(what) if len(schedules) > 1 else ''}.csv"
             address = f"data:text/csv;charset=utf-8,{quote(_csv(schedule, back))}"
             offered.append(Download(policy, what, file, address))
         none += [] if schedules else [policy]
     return offered, none
 
 
-def _file_name(name: str) -> str:
+def file_name(name: str) -> str:
+    """A file name for the name of a policy."""
     return re.sub(r"[^\w.-]+", "-", name).strip(".-") or "schedule"
 
 

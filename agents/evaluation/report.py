@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import base64
 import tempfile
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import partial
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
+import numpy as np
 import pandas as pd
 from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
@@ -18,6 +19,15 @@ from agents.evaluation import figures
 from agents.evaluation.folder import Evaluation, read_evaluation
 from agents.evaluation.kpis import SCORED_PASSES, displayed_kpis, label_of
 from agents.evaluation.profiles import Description, downloads, inner_policy, traces
+from agents.evaluation.repeat import (
+    Case,
+    by_policy,
+    cases_of,
+    is_judged,
+    share_to_repeat,
+    verdict_of,
+    verdict_text,
+)
 from agents.evaluation.statistics import (
     Interval,
     bands,
@@ -57,6 +67,8 @@ TUBE: Final = {
 ORACLES: Final = frozenset(["Planner", *(kind.__name__ for kind in (Privileged, InsertionPlanner, InspectionPlanner))])
 """Policies that use the true tube parameters, which a rig cannot measure; "Planner" in results before version 0.1.0."""
 SCHEDULES: Final = (Scheduled.__name__, Replayed.__name__)
+BIN: Final = 5.0
+"""Length of a column in the table of the metres to repeat [m]."""
 FEW_TUBES: Final = 10
 """Number of tubes below which a bootstrap interval is rough."""
 MOST_DIAMETERS: Final = 12
@@ -110,6 +122,7 @@ def _content(done: Evaluation, summary: pd.DataFrame) -> dict[str, Any]:
         "ranked": ranked_table,
         "more_figures": more_figures,
         "oracles": [name for name in order if name in oracles],
+        "procedure": procedure(done),
         "strain_lines": strain_lines(table),
         "comparison_lines": comparison_lines(table, done.against),
         "by_diameter": by_diameter(table, oracles),
@@ -190,6 +203,32 @@ def limit_of(task: TaskConfig) -> str:
     """The vibration limit with its unit."""
     _, factor, unit = MEASURES[task.vibration_measure]
     return f"{task.limit * factor:.4g} {unit}"
+
+
+def verdict_lines(cases: Mapping[str, Sequence[Case]], task: TaskConfig) -> dict[str, str]:
+    """Policy -> whether its feed is allowed with the instrument."""
+    return {policy: verdict_text(verdict_of(policy, own, task), len(own)) for policy, own in cases.items()}
+
+
+def procedure(done: Evaluation) -> tuple[dict[str, str], Table] | None:
+    """Verdicts by policy, and a table of the metres to repeat; None: no instrument.
+
+    In one tube the table lists the intervals; over several it has the share of insertions for each ``BIN`` of length.
+    """
+    task, rows = done.setting.task, []
+    if not is_judged(task):
+        return None
+    cases = by_policy(cases_of(done.table, done.profile, task))
+    if all(len(own) == 1 for own in cases.values()):
+        for policy, ((_, intervals),) in cases.items():
+            for begin, end, reason in intervals.itertuples(index=False):
+                rows.append(Row(policy, "", (Cell(f"{begin:.1f}"), Cell(f"{end:.1f}"), Cell(reason))))
+        return verdict_lines(cases, task), (["policy", "from [m]", "to [m]", "reason"], rows)
+    edges = np.arange(0.0, task.scene.tube.helix_length + BIN, BIN)
+    for policy, own in cases.items():
+        shares = share_to_repeat([intervals for _, intervals in own], edges)
+        rows.append(Row(policy, "", tuple(Cell(f"{100.0 * share:.0f}" if share else "-") for share in shares)))
+    return verdict_lines(cases, task), (["policy", *(f"{a:g} to {a + BIN:g} m" for a in edges[:-1])], rows)
 
 
 class Comparison(NamedTuple):

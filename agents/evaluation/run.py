@@ -13,7 +13,8 @@ from pydantic import ValidationError
 from agents.evaluation.folder import ReportSettings, is_evaluation, read_evaluation
 from agents.evaluation.kpis import SCORED_PASSES, displayed_kpis
 from agents.evaluation.plan import Plan, run_plan
-from agents.evaluation.report import ended
+from agents.evaluation.repeat import by_policy, cases_of, is_judged
+from agents.evaluation.report import ended, verdict_lines
 from agents.evaluation.report import write_report as write_report
 from agents.evaluation.statistics import (
     Interval,
@@ -27,14 +28,15 @@ from agents.evaluation.statistics import (
 )
 from agents.evaluation.workers import HERE, Workers
 from agents.policies.cases import EvaluationCase, load_case
-from agents.policies.catalogue import domains_of, named_policies, user_policies
+from agents.policies.catalogue import domains_of, is_schedule_file, name_and_spec, named_policies, user_policies
 from agents.policies.policy import check_domains
-from agents.policies.wrappers import RoundTripPolicy
+from agents.policies.wrappers import RoundTripPolicy, SpeedLimited
 from agents.records.manifest import write_json
 from agents.terminal.tables import print_line, print_table
 from probe_env.envs.contexts import Split
 from probe_env.envs.env import check_tubes
 from probe_env.envs.episodes.starts import EpisodeSampler, Probes, settling
+from probe_env.envs.trials import PlanningPolicy
 from probe_env.fidelity import Fidelity, resolve_fidelity
 from probe_env.settings import explain
 
@@ -102,6 +104,12 @@ def plan_of(
     policies = named_policies(specs, config, case.vibration, classes=True)
     inner = {name: p.insertion if isinstance(p, RoundTripPolicy) else p for name, p in policies.items()}
     check_domains(domains_of(specs, inner), config, case.contexts, strict)
+    if config.permitted_feed < config.feed_speeds[1]:  # schedule files are played as written, and judged
+        as_written = {name_and_spec(spec)[0] for spec in specs if is_schedule_file(spec)}
+        policies = {
+            name: policy if name in as_written or isinstance(policy, PlanningPolicy) else SpeedLimited(config, policy)
+            for name, policy in policies.items()
+        }
     sampler = EpisodeSampler(config, case.contexts, probes, *settling(config, {}))
     chosen = resolve_fidelity(fidelity, sampler.stiffest, config.growing, config.returns)
     plan = Plan(policies, case.contexts, range(seeds), config, chosen, probes, case.vibration)
@@ -137,6 +145,12 @@ def evaluate_plan(
     if plan.config.returns:
         print(f"Insertion and withdrawal; scored is {SCORED_PASSES[plan.config.inspects]}")
     print_summary(grouped(table), report.against)
+    if is_judged(plan.config):
+        done = read_evaluation(output)
+        for policy, text in verdict_lines(
+            by_policy(cases_of(done.table, done.profile, plan.config)), plan.config
+        ).items():
+            print(f"{policy}: {text}")
     print_line(f"written: {output}/ (report.html, episodes.csv, episodes.parquet, profile.parquet, summary.csv)")
     return table
 

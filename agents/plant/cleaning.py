@@ -16,6 +16,7 @@ from probe_env.schedule import POSITIONS
 from probe_env.settings import within
 
 Band = tuple[FloatArray, FloatArray]
+NOISE: Final = "rf_noise_rms"
 DIGITS: Final = 6
 """Decimals of seconds and metres in the clean file."""
 USUAL_SPACING: Final = 2.5
@@ -84,6 +85,7 @@ class CleanLog:
     repairs: Repairs
     notes: tuple[str, ...]  # messages about contradictions in the log
     rows: IntArray  # (n,) index of the row of the table
+    gaps: FloatArray  # (g, 2) begin and end of gaps in time and of missing eddy-current noise [s]
 
 
 def clean(channels: Channels, bounds: Bounds) -> CleanLog:
@@ -97,7 +99,12 @@ def clean(channels: Channels, bounds: Bounds) -> CleanLog:
     time, values, rows = _merged(channels, timed, bounds)
     steps = np.diff(time)
     _check_gaps(table, rows, steps, "no rows", bounds.gap)
-    long = steps[steps > USUAL_SPACING * np.median(steps)]
+    usual = max(float(np.median(steps)), bounds.every if table.steps else 0.0)
+    gap = steps > USUAL_SPACING * usual
+    long = steps[gap]
+    if NOISE in values:  # a row is valid until the next one
+        gap |= np.isnan(values[NOISE][:-1])
+    gaps = np.column_stack([time[:-1], time[1:]])[gap]
     count = len(table.lines)
     repairs = Repairs(count, count - len(timed), len(timed) - len(rows), len(long), float(long.max(initial=0.0)))
     notes = channels.notes
@@ -146,7 +153,7 @@ def clean(channels: Channels, bounds: Bounds) -> CleanLog:
     low = np.minimum.accumulate(length[::-1])[::-1]
     repairs.backward, repairs.most_backward = int((backward > 0.0).sum()), float(backward.max())
     rising = np.where(low == high, length, 0.5 * (low + high))  # the middle of the band
-    return CleanLog(time, rising, (low, high), values, repairs, notes, rows)
+    return CleanLog(time, rising, (low, high), values, repairs, notes, rows, gaps)
 
 
 def _merged(channels: Channels, rows: IntArray, bounds: Bounds) -> tuple[FloatArray, dict[str, FloatArray], IntArray]:

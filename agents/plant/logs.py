@@ -2,15 +2,36 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from types import MappingProxyType
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from agents.plant.cleaning import DIGITS, DWELL, Bounds, Repairs, clean, group_means, outside, standstills_of, thin_rows
+from agents.evaluation.repeat import (
+    Stretches,
+    intervals_to_repeat,
+    repeat_schedule,
+    verdict_of,
+    verdict_text,
+)
+from agents.plant.cleaning import (
+    DIGITS,
+    DWELL,
+    NOISE,
+    Bounds,
+    Repairs,
+    clean,
+    group_means,
+    outside,
+    standstills_of,
+    thin_rows,
+)
+from agents.policies.cases import EvaluationCase
+from agents.records.atomic import write_atomically
 from agents.records.quantities import HOUR, MEASURED, QUANTITIES, parse_columns
 from agents.records.reader import IntArray, read_channels
 from agents.terminal.tables import print_table, print_terms
@@ -24,6 +45,8 @@ DECIMALS: Final[Mapping[str, str]] = {"auto": "", "point": ".", "comma": ","}
 USUAL: Final = Bounds()
 PICTURES: Final = (".png", ".pdf", ".svg")
 DWELLS_SHOWN: Final = 10
+NEAR_END: Final = 0.05
+"""Distance of the end of a log from that of the helix which counts as none [m], the accepted error of an encoder."""
 
 
 class Dwell(NamedTuple):
@@ -47,6 +70,7 @@ class Log:
         repairs: counts of the repairs.
         notes: messages about contradictions in the log.
         deviation: largest distance of the interpolated length from the band of ``CleanLog`` [m].
+        gaps: (g, 2) inserted lengths between which rows or eddy-current noise are missing [m].
     """
 
     time: FloatArray
@@ -57,6 +81,7 @@ class Log:
     repairs: Repairs = field(default_factory=lambda: Repairs(0))
     notes: tuple[str, ...] = ()
     deviation: float = 0.0
+    gaps: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
 
     @property
     def dwells(self) -> tuple[Dwell, ...]:
@@ -147,7 +172,71 @@ def read_log(
     length[rows] = rounded
     deviation = float(outside(whole.time, rows, length, whole.band).max())
     speed, air, measured = np.append(speed, speed[-1]), values.pop("air_supply"), MappingProxyType(values)
-    return Log(time, rounded, speed, air, measured, whole.repairs, whole.notes, deviation)
+    gaps = np.interp(whole.gaps, time, rounded)
+    return Log(time, rounded, speed, air, measured, whole.repairs, whole.notes, deviation, gaps)
+
+
+def log_stretches(log: Log, config: TaskConfig) -> Stretches:
+    """The metres of a log from its start on, and what is missing to the end of the helix of a task.
+
+    Raises:
+        ValueError: the probe never moves.
+    """
+    moving = np.flatnonzero(np.diff(log.inserted_length) > 0.0)
+    if not len(moving):
+        raise ValueError(f"the log has no metre to judge: the probe stays at {log.inserted_length[0]:g} m")
+    begin, end, helix = log.inserted_length[moving], log.inserted_length[moving + 1], config.scene.tube.helix_length
+    edges = np.unique([begin[0], *np.arange(math.ceil(begin[0]), end[-1]), end[-1]])
+    first, last = np.searchsorted(end, edges[:-1], side="right"), np.searchsorted(begin, edges[1:])
+    rows = [moving[a:b] for a, b in zip(first, last, strict=True)]  # rows that overlap each metre
+
+    def column(values: FloatArray | None, statistic: Callable[[FloatArray], Any]) -> FloatArray:
+        return np.array([np.nan if values is None else statistic(values[part]) for part in rows])
+
+    stretches = Stretches(
+        begin=edges[:-1],
+        end=edges[1:],
+        feed=column(log.feed_speed, np.max),
+        axial=column(None, np.mean),
+        air=column(log.air_supply_rate, np.mean),
+        vibration=column(log.measured.get(NOISE), lambda values: np.sqrt(np.mean(values**2))),
+        tension=column(log.measured.get("root_tension"), np.mean),
+        missing=np.any((edges[:-1, None] < log.gaps[:, 1]) & (edges[1:, None] > log.gaps[:, 0]), axis=1),
+    )
+    if helix - end[-1] < NEAR_END:
+        return stretches
+    unknown = np.array([np.nan])
+    rest = Stretches(end[-1:], np.array([helix]), unknown, unknown, unknown, unknown, unknown, np.array([True]))
+    pairs = ((getattr(stretches, f.name), getattr(rest, f.name)) for f in fields(Stretches))
+    return Stretches(*map(np.concatenate, pairs))
+
+
+def write_repeat(log: Log, name: str, case: EvaluationCase, folder: Path) -> list[Path]:
+    """Judge a log by the instrument of a case, and write the metres to repeat and a schedule of them.
+
+    Args:
+        log: the log.
+        name: of the log, for the files ``NAME-to-repeat.csv`` and ``repeat-NAME.csv``.
+        case: task and tubes; the tube of the log is any of them.
+        folder: folder of the files.
+
+    Returns:
+        the files; without a metre to repeat there is no schedule.
+    """
+    stretches = log_stretches(log, case.config)
+    intervals = intervals_to_repeat(stretches, case.config)
+    print_terms({"speed": verdict_text(verdict_of(name, [(stretches, intervals)], case.config))})
+    texts = {f"{name}-to-repeat.csv": intervals.to_csv(index=False, float_format="%.6g")}
+    if len(intervals):
+        rows = [(f"{begin:.1f}", f"{end:.1f}", reason) for begin, end, reason in intervals.itertuples(index=False)]
+        print_table("Metres to repeat", ("from [m]", "to [m]", "reason"), rows, left=0)
+        parts = [(stretches, intervals, context) for context in case.contexts]
+        texts[f"repeat-{name}.csv"] = repeat_schedule(parts, case.config, case.vibration).to_csv()
+    else:
+        print_terms({"to repeat": "nothing"})
+    for file, text in texts.items():
+        write_atomically(folder / file, text)
+    return [folder / file for file in texts]
 
 
 def print_log(log: Log, path: Path) -> None:

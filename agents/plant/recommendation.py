@@ -272,7 +272,7 @@ def _grid(config: TaskConfig) -> tuple[FloatArray, FloatArray]:
     """(g,) settings of feed and air, in steps of the device."""
     targets = []
     for values, step, (low, high) in (
-        (np.geomspace(*feeds(config), FEEDS), config.feed_speed_step, config.feed_speeds),
+        (np.geomspace(*feeds(config), FEEDS), config.feed_speed_step, (config.feed_speeds[0], config.permitted_feed)),
         (np.linspace(*config.air_supply_rates, AIRS), config.air_supply_step, config.air_supply_rates),
     ):
         set_to = np.round(step * np.round(values / step), 12) if step > 0.0 else values

@@ -126,6 +126,7 @@ class ModelPredictivePolicy(ABC):
         inserted = episodes.inserted_length[list(which)]
         tubes = self._tubes([episodes.context[k] for k in which], memories)
         candidates = self._candidates(tubes, inserted, held, entropy)
+        candidates[..., 0] = np.minimum(candidates[..., 0], self.config.permitted_feed)
         copies = episodes.fork(np.repeat(which, self.candidates).tolist())
         for row, (k, tube) in enumerate(zip(which, tubes, strict=True)):
             if tube is not episodes.context[k]:

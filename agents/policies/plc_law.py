@@ -84,7 +84,7 @@ class PlantData(Model):
     float_diameter: float
     """[m]."""
     feed_speeds: tuple[float, float]
-    """[m/s]."""
+    """Slowest feed, and fastest feed that the instrument permits [m/s]."""
     air_supply_rates: tuple[float, float]
     """[m3/s]: least air of schedules (``on_map.least_air``) and most air."""
 
@@ -93,10 +93,12 @@ class PlantData(Model):
         """Read the data from a task."""
         scene: Scene = config.scene
         return cls(
-            air_speed_per_supply=air_speed(scene, 1.0), drag=drag_per_metre(scene),
-            float_diameter=scene.probe.carrier_float_diameter, feed_speeds=config.feed_speeds,
+            air_speed_per_supply=air_speed(scene, 1.0),
+            drag=drag_per_metre(scene),
+            float_diameter=scene.probe.carrier_float_diameter,
+            feed_speeds=(config.feed_speeds[0], config.permitted_feed),
             air_supply_rates=(least_air(config), config.air_supply_rates[1]),
-        )  # fmt: skip
+        )
 
 
 class Trim(Model):

@@ -1,4 +1,4 @@
-"""Policies around a policy: a shield that maintains a margin of drive, and a schedule for the withdrawal."""
+"""Policies around a policy: a shield that maintains a margin of drive, a speed limit, a schedule for the withdrawal."""
 
 from __future__ import annotations
 
@@ -124,9 +124,43 @@ class Shielded(_Wrapper):
         return np.column_stack([np.where(short, np.minimum(feed, slower), feed), np.where(short, more, air)])
 
 
+@dataclass
+class SpeedLimited(_Wrapper):
+    """A policy whose feed stays at most at ``permitted_feed`` of the task, in every pass that is scored.
+
+    Attributes:
+        config: task that it acts in.
+        policy: policy for this task.
+    """
+
+    config: TaskConfig
+    policy: Policy
+
+    def _act(
+        self, rows: npt.NDArray[np.floating], state: Any, start: BoolArray | None, deterministic: bool
+    ) -> tuple[npt.NDArray[np.float32], Any]:
+        requested, state = self.policy.predict(rows, state, start, deterministic)
+        actions, config = np.array(requested, dtype=np.float32), self.config
+        feed, air = config.targets(actions, allow_standstill=True).T
+        too_fast = feed > config.permitted_feed
+        if config.returns and config.inspects != "best":
+            inserting = in_si_units(config, rows)["way"] > 0.0
+            too_fast &= inserting == (config.inspects == "in")
+        slower = config.actions(np.full_like(feed, config.permitted_feed), air)
+        actions[too_fast] = slower.astype(np.float32)[too_fast]
+        return actions, state
+
+    def describe(self) -> dict[str, Any]:
+        """JSON-ready description."""
+        return {
+            "policy": type(self).__name__, "permitted_feed": self.config.permitted_feed, "of": self.policy.describe()
+        }  # fmt: skip
+
+
 def fastest_withdrawal(config: TaskConfig) -> Schedule:
-    """The fastest withdrawal of the feed device, with the air of the study or the nearest possible."""
-    feed, air = config.feasible(config.feed_speeds[1], STUDY_AIR)[0]
+    """The fastest withdrawal, with the air of the study or the nearest possible; as permitted if it is scored."""
+    fastest = config.feed_speeds[1] if config.inspects == "in" else config.permitted_feed
+    feed, air = config.feasible(fastest, STUDY_AIR)[0]
     return Schedule("inserted_length", "linear", (0.0,), (float(feed),), (float(air),))
 
 

@@ -26,6 +26,7 @@ from probe_env.arrays import FloatArray
 from probe_env.envs.contexts import Context
 from probe_env.envs.task import VISIBLE_FIELDS, TaskConfig, ungrouped
 from probe_env.files import MEBI, FileError, read_bytes, read_toml
+from probe_env.inspection.instrument import Instrument
 from probe_env.inspection.sensor import Sensor
 from probe_env.physics.closed_forms.route import Route, least_air, one_helix, required_root_tension, route_forces
 from probe_env.scene import Air, Contact, Probe, Scene, Tube
@@ -287,6 +288,8 @@ class Plant(Model):
     route: Annotated[Route, AfterValidator(one_helix)] = ()
     """Segments from the feed device to the end of the tube, one of them the helix; the task's ``required_tension``
     follows from it. Empty: not known."""
+    instrument: Instrument | None = None
+    """Instrument and procedure; None: not known."""
 
     @classmethod
     def from_toml(cls, path: str | Path) -> Self:
@@ -313,7 +316,9 @@ class Plant(Model):
     @model_validator(mode="after")
     def _is_possible(self) -> Self:
         misplaced = (
-            dict.fromkeys(OF_FEED, "feed") | dict.fromkeys(OF_AIR, "air") | {"scene": "tube", "sensor": "sensor"}
+            dict.fromkeys(OF_FEED, "feed")
+            | dict.fromkeys(OF_AIR, "air")
+            | {"scene": "tube", "sensor": "sensor", "instrument": "instrument"}
         )
         for name in self.task:
             if name in misplaced or name in VISIBLE_FIELDS:
@@ -394,7 +399,7 @@ class Plant(Model):
         device = {
             name: getattr(part, name) for part, names in ((self.feed, OF_FEED), (self.air, OF_AIR)) for name in names
         }
-        values: dict[str, Any] = {"scene": self.scene, "sensor": self.sensor}
+        values: dict[str, Any] = {"scene": self.scene, "sensor": self.sensor, "instrument": self.instrument}
         if self.tube.helix_length > LONGEST:
             values["time_limit"] = TaskConfig().time_limit * self.tube.helix_length / LONGEST
         if self.route:

@@ -40,9 +40,9 @@ STORED: Final = Path(__file__).parents[1] / "data" / "vibration-map.npz"
 
 
 def feeds(config: TaskConfig) -> tuple[float, float]:
-    """Range of feed speeds [m/s] to search: ``FEEDS`` scaled by the fastest feed of the task."""
-    slow, fast = config.feed_speeds
-    return max(slow, FEEDS[0] * fast / FEEDS[1]), fast
+    """Range of feed speeds [m/s] to search: ``FEEDS`` scaled by the fastest feed, as far as the instrument permits."""
+    (slow, fast), permitted = config.feed_speeds, config.permitted_feed
+    return max(slow, min(FEEDS[0] * fast / FEEDS[1], permitted)), permitted
 
 
 @dataclass(frozen=True, eq=False)

@@ -209,3 +209,11 @@ def test_every_offered_overlay_is_a_line():
     assert (np.diff(schedules.log_line(file_or_shipped("logs", "example-rig")).length) >= 0.0).all()
     with pytest.raises(ValueError, match="depends on measurements"):
         schedules.policy_line("pi", case)
+
+
+def test_overlays_of_policies_end_at_the_permitted_speed_and_schedule_files_do_not(tmp_path):
+    """40 Hz / 4 x 20 mm / 2 = 0.1 m/s."""
+    case, file = load_case(Plant(instrument={"test_frequency": 40.0}), "test", 1), tmp_path / "mine.csv"
+    file.write_text("inserted_length_m,feed_speed_m_per_s,air_supply_m3_per_h\n5,0.3,63\n")
+    assert schedules.policy_line("best-schedule", case).feed.max() == pytest.approx(0.1)
+    assert schedules.policy_line(str(file), case).feed.max() == pytest.approx(0.3)

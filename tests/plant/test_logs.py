@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
@@ -235,3 +236,62 @@ def test_what_a_file_says_does_not_reach_the_terminal_raw(refused, capsys):
     printed = capsys.readouterr().out
     assert "\x1b" not in printed
     assert "cmd" not in printed + Path("clean.csv").read_text()
+
+
+INSTRUMENT = "[tube]\nhelix_diameter = 1.2\nhelix_length = 20.0\n[instrument]\ntest_frequency = 100.0\n"
+"""Permits 100 Hz / 4 x 20 mm / 2 = 0.25 m/s; the vibration limit is 0.1 mm."""
+
+
+def rig_of(feeds, noise, kept=None):
+    """Text of a log from 5 m on, a row each half second, with a feed [m/s] and a noise [m] in each."""
+    time, length = 0.5 * np.arange(len(feeds)), 5.0 + 0.5 * np.cumsum(np.append(0.0, feeds[:-1]))
+    rows = zip(time, length, noise, strict=True)
+    lines = (f"{t:.1f},{x:.4f},63,{'' if n is None else n}" for t, x, n in rows if kept is None or kept(t))
+    return "\n".join(["time_s,inserted_length_m,air_supply_m3_per_h,rf_noise_rms_m", *lines])
+
+
+@pytest.mark.parametrize(
+    ("feeds", "noise", "kept", "verdict", "expected"),
+    [
+        # 5 to 10 m in 20 rows of 0.5 s at 0.5 m/s, 10 to 20 m in 100 rows at 0.2 m/s
+        ([0.5] * 20 + [0.2] * 101, [2e-5] * 121, None, "5.0 m above 0.25 m/s (test_frequency), by up to 0.25 m/s; at "
+         "5.0 to 10.0 m", [(5.0, 10.0, "speed")]),
+        ([0.2] * 151, [2e-5] * 100 + [2e-4] * 51, None, "allowed", [(15.0, 20.0, "noise")]),
+        ([0.2] * 151, [2e-5] * 151, None, "allowed", []),
+        # no rows for 4 s from 8 to 8.8 m on; no noise in rows 50 to 57, from 10 to 10.8 m on
+        ([0.2] * 151, [2e-5] * 151, lambda t: not 15.0 < t < 19.0, "allowed", [(7.5, 9.5, "samples")]),
+        ([0.2] * 151, [2e-5] * 50 + [None] * 8 + [2e-5] * 93, None, "allowed", [(9.5, 11.5, "samples")]),
+        ([0.2] * 101, [2e-5] * 101, None, "allowed", [(15.0, 20.0, "samples")]),  # ends at 15 m
+    ],
+)  # fmt: skip
+def test_a_log_is_judged_and_its_metres_to_repeat_are_a_schedule(
+    tmp_path, capsys, feeds, noise, kept, verdict, expected
+):
+    log, tube, clean = (tmp_path / name for name in ("rig.csv", "tube.toml", "clean.csv"))
+    log.write_text(rig_of(feeds, noise, kept))
+    tube.write_text(INSTRUMENT)
+    assert main(["log", str(log), "--tube", str(tube), "--output", str(clean)]) == 0
+    assert verdict in " ".join(capsys.readouterr().out.split())
+    listed = pd.read_csv(tmp_path / "rig-to-repeat.csv")
+    assert list(listed["reason"]) == [reason for *_, reason in expected]
+    for row, interval in zip(listed.itertuples(index=False), expected, strict=True):
+        assert (row.from_m, row.to_m) == pytest.approx(interval[:2], abs=2e-3)
+    schedule = tmp_path / "repeat-rig.csv"
+    assert schedule.exists() == bool(expected)
+    for begin, end, _ in expected:
+        feed, _ = Schedule.read(schedule).at(np.arange(begin, end - 0.1, 0.1))
+        assert feed.max() <= 0.25
+
+
+def test_a_log_without_an_instrument_to_judge_it_is_refused(tmp_path, capsys):
+    log, tube = tmp_path / "rig.csv", tmp_path / "tube.toml"
+    log.write_text(rig_of([0.2] * 20, [1e-5] * 20))
+    for text, output, message in (
+        ("", "clean.csv", "tube.toml: instrument: missing, so the log cannot be judged: add the table [instrument]"),
+        (INSTRUMENT, "-", "tube: the metres to repeat are files next to --output, which is - here"),
+    ):
+        tube.write_text(text)
+        output = output if output == "-" else str(tmp_path / output)
+        assert main(["log", str(log), "--tube", str(tube), "--output", output]) != 0
+        assert message in " ".join(capsys.readouterr().err.split())
+    assert not list(tmp_path.glob("*repeat*"))

@@ -26,6 +26,7 @@ from agents.plant.recommendation import (
 from agents.plant.response import Metres, stored_response
 from agents.policies.cases import load_case
 from agents.policies.catalogue import DATA
+from agents.policies.plc_law import PlantData
 from agents.records.tables import read_csv
 from probe_env import Context, Plant
 from probe_env.envs.plants import FeedDevice, Supply, Tubes
@@ -101,6 +102,17 @@ def test_plants_without_an_answer_are_refused() -> None:
     assert optimal_schedule(TUBES, RESPONSE, loud).schedule.position[-1] == 60.0
     with pytest.raises(ValueError, match=r"task.vibration_measure = 'velocity': recommendations support displacement"):
         optimal_schedule(TUBES, RESPONSE, Plant(task={"vibration_measure": "velocity"}).configured())
+
+
+def test_feeds_end_at_the_speed_that_the_instrument_permits() -> None:
+    """54 Hz / 4 x 20 mm / 2 = 0.135 m/s; without it the first metres are faster. In the PLC's law, too."""
+    fields = PLANT.model_dump()
+    limited = Plant.model_validate(fields | {"instrument": {"test_frequency": 54.0}}).config
+    best, held = (optimal_schedule(TUBES, RESPONSE, config) for config in (PLANT.config, limited))
+    assert max(best.schedule.feed_speed) > 0.3
+    assert max(held.schedule.feed_speed) == pytest.approx(0.135)
+    assert held.reward < best.reward
+    assert PlantData.of(limited).feed_speeds == pytest.approx((0.03, 0.135))
 
 
 def test_it_takes_the_probe_through_the_route() -> None:

@@ -157,6 +157,18 @@ def test_blur_and_another_tube_are_of_the_copies_alone_and_alike_for_all_of_a_pr
     assert (episodes.context[0], episodes.batch.simulators[0].scene) == (TUBES[0], scene)
 
 
+def test_a_planner_holds_to_the_permitted_speed() -> None:
+    """100 Hz / 4 x 20 mm / 2 = 0.25 m/s; without an instrument the first metres are best at nearly full speed."""
+    decided = []
+    for instrument in (None, {"test_frequency": 100.0}):
+        config = TaskConfig(instrument=instrument)
+        episodes, planner = begun(config), InsertionPlanner(config)
+        actions, _ = planner.decide(episodes, [0, 1], episodes.observation, [None, None])
+        decided.append(config.targets(actions)[:, 0])
+    assert decided[0].min() > 0.25
+    assert decided[1].max() <= 0.25 + 1e-7
+
+
 def test_the_rest_is_worth_what_the_best_schedule_earns_by_the_map() -> None:
     tube, vibration = TUBES[0], stored_map()
     places = knots(CONFIG)

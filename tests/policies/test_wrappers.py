@@ -9,7 +9,7 @@ import pytest
 from agents.evaluation.plan import Plan, RolloutRunner
 from agents.policies.catalogue import domains_of, make_policy, name_and_spec, named_policies, user_policies
 from agents.policies.fixed import Constant
-from agents.policies.wrappers import Shielded
+from agents.policies.wrappers import Shielded, SpeedLimited, fastest_withdrawal
 from probe_env import Context, Plant, Scene, TaskConfig
 from probe_env.envs.task.observations import observe
 from probe_env.fidelity import ROUND_TRIP_PRESETS, resolve_fidelity
@@ -147,6 +147,32 @@ def test_it_goes_by_a_prefix(tmp_path):
     both = make_policy("shielded:fast-in", TaskConfig(passes="both").full_observation)
     assert isinstance(both.insertion, Shielded)
     assert make_policy("shielded:pi", CONFIG).describe() == make_policy("shielded:pi", CONFIG).describe()
+
+
+INSTRUMENT = {"instrument": {"test_frequency": 100.0}}
+"""Permits 100 Hz / 4 x 20 mm / 2 = 0.25 m/s."""
+
+
+def test_the_feed_is_held_to_the_permitted_speed_and_the_rest_stays_to_the_bit():
+    config = CONFIG.model_copy(update=INSTRUMENT)
+    actions = config.actions(np.array([0.4, 0.26, 0.25, 0.1]), np.full(4, 0.02)).astype(np.float32)
+    limited = SpeedLimited(config, Given(actions)).predict(measured(np.full(4, 0.2)))[0]
+    assert config.targets(limited)[:, 0] == pytest.approx([0.25, 0.25, 0.25, 0.1], abs=1e-7)
+    assert (limited[:, 1] == actions[:, 1]).all()
+    assert (limited[3] == actions[3]).all()
+    steps = config.model_copy(update={"feed_speed_step": 0.1})  # not the nearest step, which is faster than permitted
+    limited = SpeedLimited(steps, Given(actions)).predict(measured(np.full(4, 0.2)))[0]
+    assert steps.targets(limited)[:, 0] == pytest.approx([0.2, 0.2, 0.2, 0.1])
+
+
+@pytest.mark.parametrize(("inspects", "feeds"), [("in", [0.25, 0.4]), ("back", [0.4, 0.25]), ("best", [0.25, 0.25])])
+def test_only_passes_that_are_scored_are_held(inspects, feeds):
+    config = CONFIG.model_copy(update=INSTRUMENT | {"passes": "both", "inspects": inspects})
+    rows = np.zeros((2, len(config.observations)), dtype=np.float32)
+    rows[:, list(config.observations).index("way")] = 1.0, -1.0
+    limited = SpeedLimited(config, Given([[1.0, 0.0], [1.0, 0.0]])).predict(rows)[0]
+    assert config.targets(limited)[:, 0] == pytest.approx(feeds)
+    assert fastest_withdrawal(config).feed_speed == pytest.approx((feeds[1],))
 
 
 def test_what_it_cannot_do_is_refused():

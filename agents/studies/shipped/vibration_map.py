@@ -58,7 +58,7 @@ class Wandering(FixedPolicy):
         for k, (first, length) in enumerate(zip(memory[:, 0], measured["inserted_length"], strict=True)):
             entropy = [self.seed, int(np.float64(first).view(np.uint64)), int(length / segment)]
             shares[:, k] = np.random.default_rng(entropy).uniform(size=2)
-        slow, fast = feeds(self.config)
+        slow, fast = feeds(self.config)[0], self.config.feed_speeds[1]
         feed = slow * (fast / slow) ** shares[0]
         return feed, value_at(shares[1], self.config.air_supply_rates)
 

@@ -13,6 +13,7 @@ from pydantic_core import PydanticCustomError
 
 from probe_env.arrays import FloatArray
 from probe_env.envs.task.scales import OBSERVATIONS, PRIVILEGED, PROBE, ROUND_TRIP, action_of, share_between
+from probe_env.inspection.instrument import Instrument
 from probe_env.inspection.sensor import Sensor
 from probe_env.scene import Scene
 from probe_env.settings import Model, Range, quantity, range_of, tuples
@@ -45,6 +46,8 @@ class Setup(Model):
     """Base scene: tube, probe and air, before the context of an episode is applied."""
     sensor: Sensor = Sensor()
     """Sensor: noise by motion, and threshold of a flaw call."""
+    instrument: Instrument | None = None
+    """Instrument and procedure, which limit the feed of policies in evaluations; None: not known."""
     growing: bool = True
     """Whether the probe is fed in; else its length is constant."""
 
@@ -221,12 +224,40 @@ class TaskConfig(Observation, Disturbances, Limits, Reward, Actuators, Timing, R
         return self
 
     @model_validator(mode="after")
+    def _instrument_permits_a_feed(self) -> TaskConfig:
+        if self.permitted_feed < self.feed_speeds[0]:
+            speed, requirement = self.permitted_speed
+            in_steps = f" in steps of {self.feed_speed_step:g} m/s" if self.feed_speed_step > 0.0 else ""
+            raise PydanticCustomError(
+                "instrument",
+                f"instrument.{requirement} permits at most {speed:.4g} m/s, and feed_speeds begin at"
+                f" {self.feed_speeds[0]:g} m/s{in_steps}",
+            )
+        return self
+
+    @model_validator(mode="after")
     def _passes_need_a_length_that_changes(self) -> TaskConfig:
         if self.returns and not self.growing:
             raise PydanticCustomError("passes", 'passes = "both" needs growing = true: the length must change')
         if self.shaping_weight > 0.0 and (self.returns or not self.growing):
             raise PydanticCustomError("shaping", "shaping_weight > 0 needs growing = true and passes = 'in'")
         return self
+
+    @property
+    def permitted_speed(self) -> tuple[float, str]:
+        """Highest speed that the instrument permits [m/s] and its requirement, see ``Instrument.permitted``."""
+        return self.instrument.permitted(self.sensor.flaw_width) if self.instrument else (math.inf, "")
+
+    @property
+    def permitted_feed(self) -> float:
+        """Fastest feed of the device that the instrument permits [m/s], a whole step of the device.
+
+        The axial vibration of the sensor is not subtracted.
+        """
+        (speed, _), fastest, step = self.permitted_speed, self.feed_speeds[1], self.feed_speed_step
+        if speed >= fastest:
+            return fastest
+        return step * math.floor(speed / step * (1.0 + 1e-9)) if step > 0.0 else speed
 
     @property
     def custom_actions(self) -> bool:

@@ -1,0 +1,270 @@
+"""Verdicts on the speed and metres to repeat: cases worked by hand, and the pass that repeats them."""
+
+from urllib.parse import unquote
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from agents.cli import main
+from agents.evaluation.folder import read_evaluation
+from agents.evaluation.plan import Plan, run_plan
+from agents.evaluation.profiles import downloads
+from agents.evaluation.repeat import (
+    CASE,
+    INTERVAL,
+    instrument_kpis,
+    intervals_to_repeat,
+    is_judged,
+    quiet_feeds,
+    repeat_schedule,
+    share_to_repeat,
+    stretches_of,
+    verdict_of,
+    verdict_text,
+)
+from agents.evaluation.report import descriptions, procedure
+from agents.evaluation.run import evaluate_plan, plan_of
+from agents.policies.cases import load_case
+from agents.policies.fixed import Scheduled
+from agents.policies.wrappers import SpeedLimited
+from probe_env import Context, TaskConfig
+from probe_env.envs.vibration_map import CONTEXT, stored_map
+from probe_env.fidelity import resolve_fidelity
+from probe_env.schedule import Schedule
+
+CONFIG = TaskConfig(instrument={"test_frequency": 100.0})
+"""Permits 100 Hz / 4 x 20 mm / 2 = 0.25 m/s; the vibration limit is 0.1 mm."""
+END = 60.0
+
+
+def insertion(feed=0.2, vibration=5e-5, last=END, **columns):
+    """A profile from 5 m on, as constants or as functions of the middles of the metres."""
+    metre = np.arange(5.5, last)
+    values = {"highest_feed": feed, "radial_rms_m": vibration, "tension_mean_n": 5.0, "air_supply_rate": 0.02} | columns
+    return {"inserted_length": metre} | {
+        name: value(metre) if callable(value) else np.full(len(metre), value) for name, value in values.items()
+    }
+
+
+def judged(metres, config=CONFIG, **ended):
+    """Verdict and intervals."""
+    stretches = stretches_of(metres, config, **ended)
+    intervals = intervals_to_repeat(stretches, config)
+    return verdict_of("mine", [(stretches, intervals)], config), list(intervals.itertuples(index=False, name=None))
+
+
+def test_too_fast_too_loud_and_good():
+    fast = insertion(feed=lambda metre: np.where((metre > 10.0) & (metre < 20.0), 0.3, 0.2))
+    verdict, intervals = judged(fast)
+    assert (verdict.allowed, verdict.too_fast, verdict.requirement) == (False, ((10.0, 20.0),), "test_frequency")
+    assert (verdict.length, verdict.excess, verdict.repeat) == (10.0, pytest.approx(0.05), 10.0)
+    assert intervals == [(10.0, 20.0, "speed")]
+    assert verdict_text(verdict) == (
+        "not allowed: 10.0 m above 0.25 m/s (test_frequency), by up to 0.05 m/s; at 10.0 to 20.0 m"
+    )
+    loud = insertion(vibration=lambda metre: np.where(metre > 35.0, 1.5e-4, 5e-5))
+    verdict, intervals = judged(loud)
+    assert (verdict.allowed, verdict.length, verdict.excess, verdict.repeat) == (True, 0.0, 0.0, 25.0)
+    assert intervals == [(35.0, 60.0, "noise")]
+    verdict, intervals = judged(insertion(feed=0.25))
+    assert (verdict.allowed, verdict.repeat, intervals) == (True, 0.0, [])
+    assert verdict_text(verdict) == "allowed: at most 0.25 m/s (test_frequency) everywhere"
+    verdict, _ = judged(fast, CONFIG.model_copy(update={"instrument": {"test_frequency": None}}))
+    assert (verdict.allowed, verdict_text(verdict)) == (True, "no speed limit of the instrument is set")
+
+
+def test_both_reasons_are_named_where_both_apply():
+    metres = insertion(
+        feed=lambda metre: np.where(metre < 40.0, 0.4, 0.2), vibration=lambda metre: np.where(metre > 35.0, 2e-4, 0.0)
+    )
+    assert judged(metres)[1] == [(5.0, 35.0, "speed"), (35.0, 40.0, "speed and noise"), (40.0, 60.0, "noise")]
+
+
+def test_lost_drive_and_what_was_not_reached():
+    """Drive is lost in metre 41 to 42, extended to 2 m; samples are missing from there to the end of the helix."""
+    _, intervals = judged(insertion(last=42.0), complete=False, lost_drive=True)
+    assert intervals == [
+        (40.5, 41.0, "lost drive"), (41.0, 42.5, "lost drive and samples"), (42.5, 60.0, "samples")
+    ]  # fmt: skip
+    slack = insertion(tension_mean_n=lambda metre: np.where((metre < 12.0) | (metre > 50.0), 0.5, 5.0))
+    assert judged(slack)[1] == [(50.0, 60.0, "lost drive")]  # it is not scored in the first 15 m
+    assert judged(insertion(last=5.0), complete=False)[1] == [(5.0, 60.0, "samples")]
+
+
+def test_short_intervals_are_extended_and_short_gaps_closed():
+    """Shortest 2 m: 20 to 21 and 22 to 23 join, 30 to 31 becomes 29.5 to 31.5, those at the ends extend inwards."""
+    bad = (5.5, 20.5, 22.5, 30.5, 40.5, 43.5, 59.5)
+    metres = insertion(vibration=lambda metre: np.where(np.isin(metre, bad), 2e-4, 0.0))
+    expected = [(5.0, 7.0), (20.0, 23.0), (29.5, 31.5), (39.5, 44.5), (58.0, 60.0)]  # 39.5 to 41.5, 42.5 to 44.5
+    assert judged(metres)[1] == [(*interval, "noise") for interval in expected]
+    exact = CONFIG.model_copy(update={"instrument": {"repeat_length": 0.5}})
+    assert judged(metres, exact)[1] == [(metre - 0.5, metre + 0.5, "noise") for metre in bad]
+
+
+def test_metres_that_one_period_passes_count_like_its_own():
+    """At 2 m/s and a period of 1 s every second metre has no row."""
+    verdict, intervals = judged({name: values[::2] for name, values in insertion(feed=2.0).items()})
+    assert (verdict.length, intervals) == (55.0, [(5.0, 60.0, "speed")])
+
+
+def test_noise_is_compared_in_the_measure_of_the_task():
+    snr = CONFIG.model_copy(update={"vibration_measure": "snr"})
+    limit = float(snr.sensor.equivalent_rms(np.array(1.0 / 3.0)))
+    metres = insertion(vibration=1.0, noise_rms_m=lambda metre: np.where(metre > 35.0, 1.01, 0.99) * limit)
+    assert judged(metres, snr)[1] == [(35.0, 60.0, "noise")]
+    assert judged(metres, CONFIG.model_copy(update={"vibration_measure": "velocity"}))[1] == []
+
+
+def test_the_axial_vibration_of_the_sensor_is_added_to_the_feed_for_information():
+    """0.2 m/s and 0.06 m/s rms are above 0.25 m/s, from 40 m on; the list of metres is by the feed alone."""
+    metres = insertion(axial_velocity_rms=lambda metre: np.where(metre > 40.0, 0.06, 0.04))
+    verdict, intervals = judged(metres)
+    assert (verdict.allowed, verdict.sensor_length, intervals) == (True, 20.0, [])
+    assert verdict_text(verdict).endswith("everywhere; with its axial vibration (rms) the sensor is above it in 20.0 m")
+
+
+def test_withdrawals_and_constant_lengths_are_not_judged():
+    both = {"passes": "both", "time_limit": 1e3}
+    changes = ({}, {"growing": False}, both | {"inspects": "back"}, both | {"inspects": "best"}, {"instrument": None})
+    assert [is_judged(CONFIG.model_copy(update=change)) for change in changes] == [True, False, False, True, False]
+
+
+def test_shares_of_the_insertions():
+    lists = [pd.DataFrame(rows, columns=INTERVAL) for rows in ([(6.0, 10.0, "noise")], [(9.0, 11.0, "speed")], [])]
+    assert share_to_repeat(lists, np.array([0.0, 5.0, 10.0, 15.0])) == pytest.approx([0.0, 2.0 / 3.0, 1.0 / 3.0])
+
+
+def driven(schedule, config, begin, end, start):
+    """Highest feed in an interval, of a device that takes a target every period and follows it with its ramp."""
+    length, feed, highest, step = start, config.feed_speeds[1], 0.0, 0.01
+    while length < end:
+        target = float(schedule.at(length)[0])
+        for _ in range(round(config.period / step)):
+            feed += min(max(target - feed, -config.ramp * step), config.ramp * step)
+            length += feed * step
+            highest = max(highest, feed) if begin < length < end else highest
+    return highest
+
+
+def scheduled(metres, config, context, **ended):
+    stretches = stretches_of(metres, config, **ended)
+    return repeat_schedule([(stretches, intervals_to_repeat(stretches, config), context)], config, stored_map())
+
+
+def test_a_repeated_pass_is_slow_enough_where_it_inspects_and_fast_elsewhere():
+    metres = insertion(feed=lambda metre: np.where((metre > 20.0) & (metre < 30.0), 0.4, 0.2), air_supply_rate=0.03)
+    schedule = scheduled(metres, CONFIG, Context())
+    assert schedule.at([6.0, 18.0, 20.0, 25.0, 29.9, 30.2, 59.0])[0] == pytest.approx(
+        [0.4, 0.4, 0.25, 0.25, 0.25, 0.4, 0.4]
+    )
+    assert schedule.at([6.0, 25.0])[1] == pytest.approx([0.03, 0.03])
+    for start in np.arange(16.0, 16.4, 0.02):
+        assert driven(schedule, CONFIG, 20.0, 22.0, start) <= 0.25 * (1.0 + 1e-6)
+    steps = CONFIG.model_copy(update={"feed_speed_step": 0.1})
+    assert scheduled(metres, steps, Context()).at(25.0)[0] == pytest.approx(0.2)
+
+
+def test_a_repeated_pass_is_quiet_where_it_was_loud():
+    """By the map: the fastest of its feeds whose mean, raised by the scatter, is below the limit."""
+    context, vibration = Context(friction=0.2, helix_diameter=1.2), stored_map()
+    metres = insertion(feed=0.25, vibration=lambda metre: np.where(metre > 40.0, 1.01e-4, 5e-5))
+    schedule = scheduled(metres, CONFIG, context)
+    tube = np.array([[getattr(context, name) for name in CONTEXT]])
+    grid = np.geomspace(0.04, 0.25, 2000)
+
+    def expected(feed, length):
+        ones = np.ones(len(feed))
+        return vibration.predict(length * ones, feed, 0.02 * ones, tube * ones[:, None], CONFIG.scene)
+
+    for length in (42.5, 50.5):
+        feed = float(schedule.at(length)[0])
+        mean, deviation = expected(grid, length)
+        quiet = grid[mean + deviation <= 0.0].max()
+        assert 0.04 < feed <= quiet < 0.25
+        assert feed > 0.95 * quiet  # a step of 40 from 0.04 to 0.25 m/s is 4.8 %
+    quiet = float(schedule.at(40.5)[0])
+    for start in np.arange(36.0, 36.4, 0.02):  # vibration takes 2 s to decay
+        assert driven(schedule, CONFIG, 40.0 - 1.9 * quiet, 40.5, start) <= quiet * (1.0 + 1e-6)
+    stretches = stretches_of(metres | {"radial_rms_m": 2.0 * metres["radial_rms_m"]}, CONFIG)
+    before = quiet_feeds(stretches_of(metres, CONFIG), context, CONFIG, vibration)
+    assert (quiet_feeds(stretches, context, CONFIG, vibration)[40:] <= before[40:]).all()
+
+
+def test_a_repeated_pass_has_the_most_air_from_the_first_lost_drive_on():
+    schedule = scheduled(insertion(last=42.0), CONFIG, Context(), complete=False, lost_drive=True)
+    most = CONFIG.air_supply_rates[1]
+    assert schedule.at([30.0, 40.6, 59.0])[1] == pytest.approx([0.02, most, most])
+
+
+@pytest.fixture
+def tube(tmp_path):
+    path = tmp_path / "tube.toml"
+    path.write_text("[tube]\nhelix_diameter = 1.2\nhelix_length = 30.0\n[instrument]\ntest_frequency = 100.0\n")
+    return path
+
+
+def test_evaluate_holds_policies_judges_schedules_and_takes_the_repeated_pass(tube, tmp_path, capsys):
+    file, folder = tmp_path / "mine.csv", tmp_path / "out"
+    head = "# interpolation: steps\ninserted_length_m,feed_speed_m_per_s,air_supply_m3_per_h\n"
+    file.write_text(f"{head}5,0.2,63\n10,0.4,63\n20,0.2,63\n")
+    options = ["--tube", str(tube), "--limit", "2", "--fidelity", "surrogate", "--output"]
+    assert main(["evaluate", "slow-down", str(file), *options, str(folder)]) == 0
+    printed = capsys.readouterr().out
+    assert "slow-down: allowed: at most 0.25 m/s (test_frequency) everywhere\n" in printed
+    done = read_evaluation(folder)
+    table, profile = (frame.groupby("policy") for frame in (done.table, done.profile))
+    assert profile["highest_feed"].max().to_dict() == pytest.approx({"slow-down": 0.25, "mine": 0.4})
+    assert (done.profile["permitted_speed"] == 0.25).all()
+    kpis = table[["length_too_fast_m", "speed_excess_m_per_s"]].max()
+    assert kpis.loc["slow-down"].tolist() == [0.0, 0.0]
+    # a period of 1 s may end up to 0.4 m behind 20 m
+    assert kpis.loc["mine"].tolist() == pytest.approx([11.0, 0.15])
+    listed = pd.read_csv(folder / "repeat.csv")
+    speed = listed[listed["reason"].str.contains("speed")]
+    assert speed["policy"].unique().tolist() == ["mine"]
+    assert speed.groupby("context").agg({"from_m": "min", "to_m": "max"}).to_numpy().tolist() == [[10.0, 21.0]] * 2
+    lengths = (listed["to_m"] - listed["from_m"]).groupby(listed["policy"]).sum() / 2.0
+    assert lengths["mine"] == pytest.approx(table["length_to_repeat_m"].mean()["mine"])
+    page = (folder / "report.html").read_text()
+    assert (
+        "<li><b>mine</b>: not allowed: 11.0 m in the mean above 0.25 m/s (test_frequency), by up to 0.15 m/s;" in page
+    )
+
+    plan = plan_of([str(folder / "repeat-mine.csv")], load_case(tube, "test", 2), 1, "surrogate")
+    run_plan(plan, tmp_path / "again", progress=False)
+    again = read_evaluation(tmp_path / "again").profile
+    inside = again["inserted_length"].between(10.0, 21.0)
+    assert again["highest_feed"][inside].max() <= 0.25 * (1.0 + 1e-3)
+    assert again["highest_feed"][again["inserted_length"].between(6.0, 8.5)].min() == pytest.approx(0.4)
+
+
+def test_kpis_of_an_insertion_that_diverged_at_once():
+    kpis = instrument_kpis(stretches_of({"inserted_length": np.array([np.nan])}, CONFIG, complete=False), CONFIG)
+    nothing = ("length_too_fast_m", "speed_excess_m_per_s", "length_sensor_too_fast_m")
+    assert kpis == dict.fromkeys(nothing, 0.0) | {"length_to_repeat_m": 55.0}
+
+
+def test_a_report_of_one_tube_lists_the_metres_and_offers_what_was_driven(tmp_path):
+    """At 0.3 m/s in a helix of 8 m: 3 m are above 0.25 m/s, unless the speed is limited."""
+    config = CONFIG.model_copy(update={"scene": {"carrier_length": 2.5, "tube": {"helix_length": 8.0}}})
+    constant = Scheduled(config, Schedule("inserted_length", "steps", (5.0,), (0.3,), (0.02,)))
+    policies = {"mine": constant, "held": SpeedLimited(config, constant)}
+    plan = Plan(policies, [Context()], config=config, fidelity=resolve_fidelity("fast", config.scene))
+    evaluate_plan(plan, tmp_path)
+    done = read_evaluation(tmp_path)
+    highest = done.profile.groupby("policy")["highest_feed"].max().to_dict()
+    assert highest == pytest.approx({"mine": 0.3, "held": 0.25})
+    assert (done.profile["axial_velocity_rms"] > 0.0).all()
+    expected = pd.DataFrame([("mine", 0, 0, 5.0, 8.0, "speed")], columns=[*CASE, *INTERVAL])
+    pd.testing.assert_frame_equal(pd.read_csv(tmp_path / "repeat.csv"), expected)
+    assert [file.name for file in tmp_path.glob("repeat-*.csv")] == ["repeat-mine.csv"]
+    verdicts, (header, rows) = procedure(done)
+    assert list(verdicts) == ["mine", "held"]
+    assert header == ["policy", "from [m]", "to [m]", "reason"]
+    assert [[row.head, *(cell.text for cell in row.cells)] for row in rows] == [["mine", "5.0", "8.0", "speed"]]
+    offered = {
+        item.policy: unquote(item.address) for item in downloads(descriptions(done), done.table, done.profile)[0]
+    }
+    assert offered["mine"].endswith("5,0.3,72\n")
+    assert offered["held"].endswith("5,0.25,72\n")
