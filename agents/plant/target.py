@@ -54,7 +54,7 @@ WEIGHTS: Final = (1e-2, 1e5)
 BISECTIONS: Final = 12
 MOST_SIMULATED: Final = 6
 """Number of simulated schedules."""
-CLOSE: Final = 0.97
+CLOSE: Final = 0.98
 """Share of the target that is close enough; the search aims between this and 1."""
 CANDIDATES: Final = 3
 """One tube in three is simulated, those with the largest a90 on the map: the limit is the second largest of 96."""

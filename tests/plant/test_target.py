@@ -22,7 +22,7 @@ from probe_env.inspection.detection import threshold
 from probe_env.schedule import Schedule
 
 SNR = load_case(Path("snr"), "train")
-TUBES = [tube for tube in SNR.contexts if tube.helix_diameter in (1.0, 2.5)][:8]
+TUBES = [tube for tube in SNR.contexts if tube.helix_diameter in (1.0, 2.5)][:4]
 SENSOR = SNR.config.sensor
 
 
@@ -61,12 +61,12 @@ def test_a_constant_signal_to_noise_has_the_a90_of_its_closed_form() -> None:
     np.testing.assert_allclose(search.pod(0.3), expected, atol=1e-4)
 
 
-COARSE = SNR.config.model_copy(update={"feed_speed_step": 0.02, "air_supply_step": 0.004})  # 14 feeds and 7 airs
+COARSE = SNR.config.model_copy(update={"feed_speed_step": 0.02, "air_supply_step": 0.012})  # 17 feeds and 3 airs
 SEARCH = MapSearch(TUBES, SNR.vibration, COARSE)
 
 
 def test_the_schedule_is_within_the_target_and_no_constant_one_is_faster() -> None:
-    """Of all 98 settings of feed and air; a deeper flaw takes less time."""
+    """Of all 51 settings of feed and air; a deeper flaw takes less time."""
     g = len(SEARCH.settings.feed)
     constants = [SEARCH._candidate([k] * len(SEARCH.settings.lengths)) for k in range(g)]
     times = []
