@@ -201,7 +201,5 @@ def print_summary(table: pd.DataFrame, against: str) -> None:
 def print_bundle(hours: pd.DataFrame) -> None:
     """Print a ``bundle_table``; nothing if it is empty."""
     if len(hours):
-        title = (
-            f"Hours for {hours['tubes'].iloc[0]} tubes with 95 % intervals; a second pass is another whole insertion"
-        )
+        title = f"Hours for {hours['tubes'].iloc[0]} tubes with 95 % intervals"
         print_table(title, BUNDLE_HEADER, bundle_rows(hours))

@@ -32,7 +32,7 @@ BUNDLE_COLUMNS: Final = (
                          for end in ("", "_low", "_high"))
 )  # fmt: skip
 """Columns of ``bundle.csv``."""
-BUNDLE_HEADER: Final = ("policy", "hours [h]", "tubes with a second pass [%]", "hours it adds [h]")
+BUNDLE_HEADER: Final = ("policy", "first passes [h]", "second pass [% of tubes]", "second passes [h]")
 BEST: Final = "planner"
 BAR: Final = "best-schedule"
 """The difference in reward between these two policies is the planner's lead."""
