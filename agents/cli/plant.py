@@ -158,6 +158,8 @@ class Calibrate:
 class Recommend:
     """Recommend the schedule with the best expected reward for your plant, and simulate it with others.
 
+    With --find it is the fastest schedule that still finds flaws of a given depth.
+
     Example: probe-env recommend my-schedule.csv --tube mine.toml --output output/mine.csv
     """
 
@@ -165,6 +167,9 @@ class Recommend:
     """Schedules (.csv) to compare with; best-schedule and tension-scheduled are always compared."""
     tube: File = None
     """Your plant (tube.toml), with the posterior of a calibration if there is one; default: the study's plant."""
+    find: Annotated[str | None, hide_default("a90=PERCENT")] = None
+    """Fastest schedule whose a90 is at most PERCENT of the wall in 95 % of the tubes, such as a90=20. The time against
+    a90 is written to NAME-a90.csv."""
     output: Path = Path("output/recommended.csv")
     """Schedule file; a description is written next to it (.json)."""
     policy: File = None
@@ -185,8 +190,16 @@ class Recommend:
         """Search, store, simulate, print."""
         from agents.plant.recommendation import Confirmation, is_misspecified, recommend
         from agents.plant.response import stored_response
+        from agents.plant.target import a90_target, recommend_for_target
         from agents.policies.cases import plant_at
 
+        target = None if self.find is None else a90_target(self.find)
+        if target is not None and self.policy:
+            raise ValueError(
+                f"policy = {str(self.policy)!r}: a law follows from the reward: leave out --find or --policy"
+            )
+        if target is not None and not self.simulated:
+            raise ValueError("find needs the simulation: remove --no-simulated")
         if self.output.suffix != ".csv":
             raise ValueError(f"output = {str(self.output)!r} is not a CSV file (.csv)")
         if self.policy and self.policy.suffix != ".json":
@@ -201,7 +214,11 @@ class Recommend:
                 f"{self.tube}: posterior: the calibration is misspecified, its logs do not fit the model: calibrate"
                 " again, leave it out, or give --anyway"
             )
-        recommend(plant, self.output, confirmation, stored_response(), self.policy, self.workers)
+        if target is not None:
+            assert confirmation
+            recommend_for_target(target, self.tube, self.output, confirmation, self.workers)
+        else:
+            recommend(plant, self.output, confirmation, stored_response(), self.policy, self.workers)
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """The files of an evaluation: the journal of episodes, its tables, and the reader of both.
 
 ``setting.json`` holds the common settings, ``unfinished.json`` the planned episodes until the tables are written,
-``report.json`` the reference policy of the report.
+``report.json`` the reference policy of the report and the bundle of tubes.
 """
 
 from __future__ import annotations
@@ -35,6 +35,7 @@ from agents.terminal.names import name_problem
 from probe_env import Context
 from probe_env.design import RANGES
 from probe_env.envs.episodes.starts import Probes
+from probe_env.envs.plants import Bundle
 from probe_env.envs.task import ENDINGS, TaskConfig
 from probe_env.files import FileError
 from probe_env.inspection.metrics import POD_NAMES
@@ -111,10 +112,15 @@ class Unfinished(Manifest):
 
 
 class ReportSettings(Stored):
-    """``report.json``: the reference policy, and the policies that are files of the user."""
+    """``report.json``: the reference policy, the policies that are files of the user, and the bundle of tubes."""
 
     against: str
     own: tuple[str, ...] = ()
+    bundle: Bundle | None = None
+
+    def to_json(self) -> dict[str, Any]:
+        """Content of the file."""
+        return self.model_dump(mode="json", exclude_none=True)
 
 
 def episodes_of(output: Path) -> Journal[Episode]:
@@ -172,6 +178,7 @@ class Evaluation:
         record: command, commit, machine, descriptions of the policies.
         against: reference policy of the comparison.
         user_policies: policies that are files of the user.
+        bundle: bundle of tubes whose hours are reported; None: no hours.
         missing: episodes that an interrupted evaluation lacks; None: it is finished.
     """
 
@@ -181,6 +188,7 @@ class Evaluation:
     record: Manifest
     against: str
     user_policies: tuple[str, ...]
+    bundle: Bundle | None
     missing: Missing | None
 
 
@@ -204,20 +212,21 @@ def read_evaluation(folder: Path) -> Evaluation:
     table, profile = grouped(read_episodes(paths[0])), grouped(read_parquet(paths[1], PROFILE, PROFILE_NEWER))
     if not set(profile["policy"]) <= set(table["policy"]):
         raise FileError(paths[1], "has policies that are not in episodes.parquet: evaluate again into this folder")
-    against, own = _report_settings(folder, table, strict=True)
+    report = _report_settings(folder, table, strict=True)
     setting, record = read_json(folder / "setting.json", Setting), read_json(paths[2], Manifest)
-    return Evaluation(table, profile, setting, record, against, own, None)
+    return Evaluation(table, profile, setting, record, report.against, report.own, report.bundle, None)
 
 
-def _report_settings(folder: Path, table: pd.DataFrame, strict: bool) -> tuple[str, tuple[str, ...]]:
+def _report_settings(folder: Path, table: pd.DataFrame, strict: bool) -> ReportSettings:
     path, policies = folder / "report.json", list(dict.fromkeys(table["policy"]))
     settings = read_json(path, ReportSettings) if path.exists() else ReportSettings(against="")
     own = tuple(name for name in settings.own if name in policies)
-    if settings.against in policies:
-        return settings.against, own
-    if strict and settings.against:
-        raise FileError(path, f"against = {settings.against!r} is not one of the policies: {', '.join(policies)}")
-    return str(policies[0]), own
+    against = settings.against
+    if against not in policies:
+        if strict and against:
+            raise FileError(path, f"against = {against!r} is not one of the policies: {', '.join(policies)}")
+        against = str(policies[0])
+    return ReportSettings(against=against, own=own, bundle=settings.bundle)
 
 
 def _interrupted(folder: Path) -> Evaluation:
@@ -236,7 +245,8 @@ def _interrupted(folder: Path) -> Evaluation:
     absent = Counter(name for key, name, _, _ in plan.episodes if key not in done)
     gaps = tuple((name, f"{absent[name]} of {total[name]} insertions") for name in total if absent[name])
     missing = Missing(len(stored), len(plan.episodes), gaps)
-    return Evaluation(table, profile, setting, plan, *_report_settings(folder, table, strict=False), missing)
+    report = _report_settings(folder, table, strict=False)
+    return Evaluation(table, profile, setting, plan, report.against, report.own, report.bundle, missing)
 
 
 def comparable(stored: Sequence[Planned]) -> list[Planned]:

@@ -52,6 +52,7 @@ from probe_env.design import RANGES
 from probe_env.envs.env import make_episodes
 from probe_env.envs.episodes import Step
 from probe_env.envs.episodes.starts import Probes
+from probe_env.envs.plants import Bundle
 from probe_env.envs.task import VISIBLE_FIELDS, TaskConfig, describe
 from probe_env.envs.trials import PolicyBatch
 from probe_env.envs.vibration_map import VibrationMap, stored_map
@@ -82,6 +83,7 @@ class Plan:
         fidelity: fidelity of the simulation, resolved for the scene (``fidelity.resolve_fidelity``).
         probes: "scene", or "random": context and seed select a ``Design``, the same for every policy.
         vibration: vibration map of fidelity "surrogate"; default: the shipped one.
+        bundle: bundle of tubes whose hours are reported; None: no hours.
     """
 
     policies: Mapping[str, Policy]
@@ -91,6 +93,7 @@ class Plan:
     fidelity: Fidelity = field(default_factory=Fidelity)
     probes: Probes = "scene"
     vibration: VibrationMap | None = None
+    bundle: Bundle | None = None
 
     def setting(self) -> dict[str, Any]:
         """Common settings of all episodes of a folder, JSON-ready."""
@@ -158,7 +161,7 @@ def run_plan(
         return collect_tables(plan.planned(), plan.contexts, done)[0]
     journal, done = episodes_of(output), stored_episodes(plan, output)
     if report is not None:
-        write_json(output / "report.json", report.model_dump(mode="json"))
+        write_json(output / "report.json", report.to_json())
     units = {plan.key(unit): unit for unit in plan.units()}
     missing = deque(unit for key, unit in units.items() if key not in done)
     cores = min(workers.jobs if not workers.here else threads or available_cores(), available_cores())

@@ -29,8 +29,11 @@ from agents.evaluation.repeat import (
     verdict_text,
 )
 from agents.evaluation.statistics import (
+    BUNDLE_HEADER,
     Interval,
     bands,
+    bundle_rows,
+    bundle_table,
     by_context,
     comparison_lines,
     endings,
@@ -82,7 +85,7 @@ RANKED: Final = (
 
 
 def write_report(folder: Path) -> Path:
-    """Write report.html from the files of a folder, and summary.csv if the evaluation is finished.
+    """Write report.html from the files of a folder; if the evaluation is finished, summary.csv and bundle.csv.
 
     Raises:
         FileNotFoundError: no evaluation is stored there.
@@ -92,6 +95,9 @@ def write_report(folder: Path) -> Path:
     summary = summarise(done.table)
     if done.missing is None:
         write_atomically(folder / "summary.csv", summary.to_csv(index=False, float_format="%.6g"))
+        if done.bundle:
+            hours = bundle_table(done.table, done.bundle)
+            write_atomically(folder / "bundle.csv", hours.to_csv(index=False, float_format="%.6g"))
     environment = Environment(undefined=StrictUndefined, autoescape=True, trim_blocks=True, lstrip_blocks=True)
     environment.policies["json.dumps_kwargs"] = {"separators": (",", ":")}
     environment.globals["part"] = lambda name: Markup(_read(name))
@@ -108,7 +114,7 @@ def _content(done: Evaluation, summary: pd.DataFrame) -> dict[str, Any]:
     table, task, oracles, order = done.table, done.setting.task, oracle_policies(done), ranking(done.table)
     described = descriptions(done)
     kinds = {name: inner_policy(policy).get("policy") in SCHEDULES for name, policy in described.items()}
-    subjects = done.user_policies or (done.against,)
+    subjects, hours = done.user_policies or (done.against,), bundle_table(table, done.bundle)
     comparisons = [compare_with_best(table, policy, oracles, limit_of(task)) for policy in subjects]
     best = [name for name in order if name not in oracles]
     ranked_table, more_figures = ranked(table, summary, done.user_policies, oracles)
@@ -127,6 +133,7 @@ def _content(done: Evaluation, summary: pd.DataFrame) -> dict[str, Any]:
         "comparison_lines": comparison_lines(table, done.against),
         "by_diameter": by_diameter(table, oracles),
         "by_tube": by_tube(table, oracles),
+        "bundle": (BUNDLE_HEADER, [Row(name, "", tuple(map(Cell, texts))) for name, *texts in bundle_rows(hours)]),
         "downloads": downloads(described, table, done.profile, task.returns),
         "traces": traces(table, done.profile, visible, _limit_mm(task)),
         "pictures": _pictures(done, summary),

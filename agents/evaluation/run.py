@@ -17,7 +17,10 @@ from agents.evaluation.repeat import by_policy, cases_of, is_judged
 from agents.evaluation.report import ended, verdict_lines
 from agents.evaluation.report import write_report as write_report
 from agents.evaluation.statistics import (
+    BUNDLE_HEADER,
     Interval,
+    bundle_rows,
+    bundle_table,
     comparison_lines,
     endings,
     grouped,
@@ -112,7 +115,8 @@ def plan_of(
         }
     sampler = EpisodeSampler(config, case.contexts, probes, *settling(config, {}))
     chosen = resolve_fidelity(fidelity, sampler.stiffest, config.growing, config.returns)
-    plan = Plan(policies, case.contexts, range(seeds), config, chosen, probes, case.vibration)
+    bundle = case.plant.bundle_for(config) if case.plant else None
+    plan = Plan(policies, case.contexts, range(seeds), config, chosen, probes, case.vibration, bundle)
     if plan.probes == "random":  # drawn when an episode starts
         return plan
     try:
@@ -127,7 +131,7 @@ def plan_of(
 def evaluate_plan(
     plan: Plan, output: Path, against: str | None = None, workers: Workers = HERE, own: Sequence[str] = ()
 ) -> pd.DataFrame:
-    """Run a plan in a folder, write tables, summary.csv and report.html, and print the means.
+    """Run a plan in a folder, write tables, summary.csv, bundle.csv and report.html, and print the means.
 
     Args:
         plan: the evaluation; policies named NAME@K are training seeds of one method.
@@ -147,11 +151,12 @@ def evaluate_plan(
     print_summary(grouped(table), report.against)
     if is_judged(plan.config):
         done = read_evaluation(output)
-        for policy, text in verdict_lines(
-            by_policy(cases_of(done.table, done.profile, plan.config)), plan.config
-        ).items():
+        cases = by_policy(cases_of(done.table, done.profile, plan.config))
+        for policy, text in verdict_lines(cases, plan.config).items():
             print(f"{policy}: {text}")
-    print_line(f"written: {output}/ (report.html, episodes.csv, episodes.parquet, profile.parquet, summary.csv)")
+    print_bundle(bundle_table(grouped(table), plan.bundle))
+    files = "report.html, episodes.csv, episodes.parquet, profile.parquet, summary.csv"
+    print_line(f"written: {output}/ ({files}{', bundle.csv' if plan.bundle else ''})")
     return table
 
 
@@ -165,7 +170,8 @@ def report_settings(plan: Plan, against: str | None, own: Sequence[str]) -> Repo
     reference = method_and_seed(against)[0] if against and against in plan.policies else against or methods[0]
     if reference not in methods:
         raise ValueError(f"against = {against!r} is not one of the policies: {', '.join(plan.policies)}")
-    return ReportSettings(against=reference, own=tuple(dict.fromkeys(method_and_seed(name)[0] for name in own)))
+    users = tuple(dict.fromkeys(method_and_seed(name)[0] for name in own))
+    return ReportSettings(against=reference, own=users, bundle=plan.bundle)
 
 
 def report_again(folder: Path, against: str | None = None) -> Path:
@@ -182,7 +188,8 @@ def report_again(folder: Path, against: str | None = None) -> Path:
         policies = list(dict.fromkeys(done.table["policy"]))
         if against not in policies:
             raise ValueError(f"against = {against!r} is not one of the policies: {', '.join(policies)}")
-        write_json(folder / "report.json", {"against": against, "own": done.user_policies})
+        report = ReportSettings(against=against, own=done.user_policies, bundle=done.bundle)
+        write_json(folder / "report.json", report.to_json())
     return write_report(folder)
 
 
@@ -202,3 +209,10 @@ def print_summary(table: pd.DataFrame, against: str) -> None:
         print(f"{name}: {ended(row)}")
     for line in (*strain_lines(table), *comparison_lines(table, against)):
         print(line)
+
+
+def print_bundle(hours: pd.DataFrame) -> None:
+    """Print a ``bundle_table``; nothing if it is empty."""
+    if len(hours):
+        title = f"Hours for {hours['tubes'].iloc[0]} tubes with 95 % intervals"
+        print_table(title, BUNDLE_HEADER, bundle_rows(hours))

@@ -10,10 +10,11 @@ from typing import Any, Final, Literal
 
 import numpy as np
 import pandas as pd
-from scipy.stats import DegenerateDataWarning, bootstrap, trim_mean
+from scipy.stats import DegenerateDataWarning, beta, bootstrap, trim_mean
 
 from agents.evaluation.kpis import HIGH, OVER_TUBES, kpis_of, label_of
-from probe_env.arrays import FloatArray
+from probe_env.arrays import BoolArray, FloatArray
+from probe_env.envs.plants import Bundle
 from probe_env.envs.task import ENDINGS, FAILURES
 from probe_env.inspection.detection import DEPTHS, depths_found
 from probe_env.inspection.metrics import POD_NAMES
@@ -26,6 +27,12 @@ RESAMPLES: Final = 2000
 A90_BOUND: Final = 95.0
 """Percentile of the resampled a90: a90/95."""
 DEPTH_COLUMNS: Final = ("policy", "a50_percent_wall", "a90_percent_wall", "a90_95_percent_wall")
+BUNDLE_COLUMNS: Final = (
+    "policy", "tubes", *(f"{name}{end}" for name in ("hours", "second_pass_share", "second_pass_hours")
+                         for end in ("", "_low", "_high"))
+)  # fmt: skip
+"""Columns of ``bundle.csv``."""
+BUNDLE_HEADER: Final = ("policy", "first passes [h]", "second pass [% of tubes]", "second passes [h]")
 BEST: Final = "planner"
 BAR: Final = "best-schedule"
 """The difference in reward between these two policies is the planner's lead."""
@@ -195,6 +202,77 @@ def summarise(table: pd.DataFrame) -> pd.DataFrame:
         if has_curves(table):
             rows.append((policy, *OVER_TUBES, *[a90_95(table, policy)] * 4, part["a90_percent_wall"].max()))
     return pd.DataFrame(rows, columns=["policy", "kpi", "mean", "low", "high", "iqm", "worst"])
+
+
+def needs_second_pass(table: pd.DataFrame) -> pd.Series:
+    """Whether each episode has metres to repeat; without an instrument: over the vibration limit or not reached."""
+    if "length_to_repeat_m" in table:
+        return table["length_to_repeat_m"] > 0.0
+    return (table["share_within_limit"] < table["inspected_share"] - 1e-9) | (table["complete"] == 0.0)
+
+
+def bundle_hours(times: FloatArray, second_pass: BoolArray, tubes: int) -> tuple[Interval, Interval, Interval]:
+    """Hours of a bundle, share of its tubes with a second pass, and hours of these passes, with 95 % intervals.
+
+    The n simulated tubes and the N of the bundle are treated as independent draws of one distribution of mean m and
+    deviation s. The total of N times, for a given m, has mean N m and variance N s^2; the mean of the simulated tubes
+    estimates m with variance s^2 / n. So N times this mean predicts the total with variance N^2 s^2 (1/n + 1/N): the
+    interval is that of a bootstrap of the mean, with normal scatter of deviation s / sqrt(N) added. If part of s is
+    common to all tubes of a plant, such as the drag, the true interval is wider.
+
+    With k of n tubes to repeat the share p has the posterior Beta(k + 1/2, n - k + 1/2) (Jeffreys; its interval
+    extends to 0 for k = 0 and to 1 for k = n), the bundle has Binomial(N, p) such tubes, and each takes the mean
+    time once more.
+
+    Args:
+        times: (n,) time per tube, all included [s].
+        second_pass: (n,) whether a tube needs a second pass.
+        tubes: N.
+
+    Returns:
+        hours, share and hours of second passes; the ends of the first and the last are NaN for one simulated tube.
+    """
+    count, k, mean = len(times), int(second_pass.sum()), float(times.mean())
+    low, high = beta.ppf(np.array(PERCENTILES) / 100.0, k + 0.5, count - k + 0.5).tolist()
+    share = Interval(k / count, low if k else 0.0, high if k < count else 1.0)
+    totals = repeats = np.full(RESAMPLES, np.nan)
+    if count > 1:
+        rng, means = np.random.default_rng(0), bootstrap_means(times[:, None])[:, 0]
+        totals = tubes * (means + rng.normal(0.0, times.std(ddof=1) / math.sqrt(tubes), RESAMPLES))
+        repeats = rng.binomial(tubes, rng.beta(k + 0.5, count - k + 0.5, RESAMPLES)) * means
+    hours, added = (
+        Interval(tubes * value / 3600.0, *(np.percentile(drawn, PERCENTILES) / 3600.0).tolist())
+        for value, drawn in ((mean, totals), (share.mean * mean, repeats))
+    )
+    return hours, share, added
+
+
+def bundle_table(table: pd.DataFrame, bundle: Bundle | None) -> pd.DataFrame:
+    """``bundle_hours`` of every policy, a row each, columns ``BUNDLE_COLUMNS``; no rows without a bundle.
+
+    Args:
+        table: episodes; a tube needs a second pass if one of its episodes does.
+        bundle: with its withdrawal as a time, see ``Plant.bundle_for``.
+    """
+    rows: list[tuple[object, ...]] = []
+    if bundle is None:
+        return pd.DataFrame(rows, columns=list(BUNDLE_COLUMNS))
+    again = table.assign(second_pass=needs_second_pass(table))
+    for policy in dict.fromkeys(table["policy"]):
+        times = by_context(table, policy, "inspection_time_s").to_numpy()
+        times = times + bundle.setup_time + (bundle.withdrawal_time or 0.0)
+        intervals = bundle_hours(times, by_context(again, policy, "second_pass").to_numpy() > 0.0, bundle.tubes)
+        rows.append((policy, bundle.tubes, *(v for i in intervals for v in (i.mean, i.low, i.high))))
+    return pd.DataFrame(rows, columns=list(BUNDLE_COLUMNS))
+
+
+def bundle_rows(hours: pd.DataFrame) -> list[tuple[str, ...]]:
+    """Texts of a ``bundle_table`` under ``BUNDLE_HEADER``."""
+    rows = []
+    for policy, _, *values in hours.itertuples(index=False):
+        intervals = (Interval(*values[k : k + 3]) for k in (0, 3, 6))
+        rows.append((str(policy), *(i.text(f) for i, f in zip(intervals, (1.0, 100.0, 1.0), strict=True))))
+    return rows
 
 
 def endings(table: pd.DataFrame) -> pd.DataFrame:

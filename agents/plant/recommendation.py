@@ -9,13 +9,14 @@ from __future__ import annotations
 import math
 import warnings
 from bisect import bisect_right
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Final, NamedTuple
 
 import numpy as np
+import pandas as pd
 
 from agents.evaluation.run import evaluate_plan, plan_of
 from agents.evaluation.workers import HERE, Workers
@@ -30,7 +31,7 @@ from agents.records.atomic import write_atomically
 from agents.records.manifest import origin, write_json
 from agents.terminal.tables import print_line
 from probe_env import Context, Plant, Scene
-from probe_env.arrays import FloatArray
+from probe_env.arrays import BoolArray, FloatArray
 from probe_env.envs.task import TaskConfig, drive_counts, metre_reward, share_between, slack
 from probe_env.envs.vibration_map import expected_cost, feeds
 from probe_env.physics.closed_forms import buckling_load, steady_root_tension
@@ -76,6 +77,20 @@ class Confirmation:
     limit: int = 12  # number of tubes; 0: all
     fidelity: str = "fast"
 
+    def check(self, plant: Plant | None) -> None:
+        """Raise ValueError if the schedules or the other settings are not valid; their warnings follow in ``run``."""
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            plan_of((*self.schedules, *BASELINES), load_case(plant, "test", self.limit), 1, self.fidelity)
+
+    def run(self, plant: Plant | None, named: Sequence[str], workers: Workers) -> pd.DataFrame:
+        """Simulate recommendations ``named`` (NAME=FILE) with others in other samples, and print; the episodes."""
+        case = load_case(plant, "test", self.limit)
+        print(f"simulated in {len(case.contexts)} other samples at {self.fidelity}:")
+        plan = plan_of((*named, *self.schedules, *BASELINES), case, 1, self.fidelity)
+        names = [name_and_spec(spec)[0] for spec in self.schedules] or [NAME]  # for the report's first line
+        return evaluate_plan(plan, self.folder, against=NAME, workers=workers, own=names)
+
 
 def recommend(
     plant: Plant | None,
@@ -99,30 +114,20 @@ def recommend(
         ValueError: the plant, or a schedule to compare with, is not valid; nothing is written.
     """
     case = load_case(plant, "train")
-    test_case = load_case(plant, "test", confirmation.limit) if confirmation else case
+    if confirmation:
+        confirmation.check(plant)
     for text in outside_training(case.contexts, response, case.config):
         warnings.warn(f"outside the training range of the response: {text}", OutsideDomain, stacklevel=2)
-    specs = (*(confirmation.schedules if confirmation else ()), *BASELINES)
     if case.config.returns:
         print_line(
             f"{output.stem} is for the insertion; the withdrawal is at the fastest feed. For both passes use"
             " probe-env study best-round-trip"
         )
-    if confirmation:
-        with warnings.catch_warnings():  # check the policies before the search; their warnings follow below
-            warnings.simplefilter("ignore")
-            plan_of(specs, test_case, 1, confirmation.fidelity)
     start_air = route_air(plant, case.contexts)
     optimum = optimal_schedule(case.contexts, response, case.config, start_air)
     write_atomically(output, optimum.schedule.to_csv())
-    record = {
-        "tube": plant.model_dump(mode="json", exclude={"posterior"}) if plant else None,
-        "calibrated": plant is not None and plant.posterior is not None,
-        "draws": len(case.contexts),
-        "expected_reward": optimum.reward,
-        "least_root_tension_n": optimum.tension,
-    }
-    write_json(output.with_suffix(".json"), record | origin())
+    figures = {"expected_reward": optimum.reward, "least_root_tension_n": optimum.tension}
+    write_description(output, plant, len(case.contexts), figures)
     named = [f"{NAME}={output}"]
     if law:
         feedback = optimal_law(case.contexts, response, case.config, start_air)
@@ -133,17 +138,29 @@ def recommend(
         f"{output}: in your tubes about {seconds:.0f} s, expected reward {optimum.reward:.1f}"
         f" ({len(case.contexts)} samples); drive safe: root tension above {optimum.tension:.2g} N in {CONFIDENCE:.0%}"
     )
+    print_start_air(start_air, case.config)
+    if confirmation:
+        confirmation.run(plant, named, workers)
+    return optimum
+
+
+def write_description(output: Path, plant: Plant | None, draws: int, figures: Mapping[str, float]) -> None:
+    """Write NAME.json next to a schedule file: the plant, the number of samples, and figures of the search."""
+    record = {
+        "tube": plant.model_dump(mode="json", exclude={"posterior"}) if plant else None,
+        "calibrated": plant is not None and plant.posterior is not None,
+        "draws": draws,
+    }
+    write_json(output.with_suffix(".json"), record | dict(figures) | origin())
+
+
+def print_start_air(start_air: float, config: TaskConfig) -> None:
+    """Print the least air before the helix, see ``route_air``; nothing if it is 0."""
     if start_air:
         print_line(
-            f"route: the helix must pull with {case.config.required_tension:.3g} N; before the helix and up to"
-            f" {case.config.lost_drive_from:g} m in it blow at least {3600.0 * start_air:.0f} m3/h"
+            f"route: the helix must pull with {config.required_tension:.3g} N; before the helix and up to"
+            f" {config.lost_drive_from:g} m in it blow at least {3600.0 * start_air:.0f} m3/h"
         )
-    if confirmation:
-        print(f"simulated in {len(test_case.contexts)} other samples at {confirmation.fidelity}:")
-        plan = plan_of((*named, *specs), test_case, 1, confirmation.fidelity)
-        names = [name_and_spec(spec)[0] for spec in confirmation.schedules] or [NAME]  # for the report's first line
-        evaluate_plan(plan, confirmation.folder, against=NAME, workers=workers, own=names)
-    return optimum
 
 
 def is_misspecified(plant: Plant | None) -> bool:
@@ -179,15 +196,62 @@ def optimal_schedule(
     if config.vibration_measure not in MEASURES:
         problem = f"task.vibration_measure = {config.vibration_measure!r}"
         raise ValueError(f"{problem}: recommendations support {' and '.join(MEASURES)}")
+    settings = settings_of(tubes, config, start_air)
+    cost = expected_costs(tubes, response, config, settings.metres).mean(axis=0).reshape(settings.tension.shape)
+    path = settings.cheapest(cost, CHANGE_WEIGHT)
+    reward = float((metre_reward(config, cost) * settings.spacing[:, None])[range(len(path)), path].sum())
+    return Optimum(settings.schedule(path), reward, settings.least_tension(path, config))
+
+
+class Settings(NamedTuple):
+    """A grid of g settings of feed and air at n inserted lengths; those with too little tension are excluded."""
+
+    lengths: FloatArray  # (n,) [m]
+    spacing: FloatArray  # (n,) length that each stands for [m]
+    feed: FloatArray  # (g,) [m/s]
+    air: FloatArray  # (g,) [m3/s]
+    change: FloatArray  # (g, g) squared change of log feed and of the air over its range
+    tension: FloatArray  # (n, g) root tension that CONFIDENCE of the samples exceed [N]
+    excluded: BoolArray  # (n, g)
+
+    @property
+    def metres(self) -> Metres:
+        """All settings at all lengths (n g,), lengths first."""
+        n, g = self.tension.shape
+        return Metres(np.repeat(self.lengths, g), np.tile(self.feed, n), np.tile(self.air, n), {})
+
+    def cheapest(self, cost: FloatArray, change_weight: float) -> list[int]:
+        """Setting at each length with the smallest sum of costs per metre (n, g) and of changes."""
+        staged = np.where(self.excluded, np.inf, cost * self.spacing[:, None])
+        return cheapest_path(staged, change_weight * self.change)
+
+    def schedule(self, path: list[int]) -> Schedule:
+        """The schedule of a setting at each length."""
+        position, feed, air = (tuple(v.tolist()) for v in (self.lengths, self.feed[path], self.air[path]))
+        return Schedule("inserted_length", "linear", position, feed, air)
+
+    def least_tension(self, path: list[int], config: TaskConfig) -> float:
+        """Least tension of a schedule where lost drive is scored [N]."""
+        scored = drive_counts(config, self.lengths)
+        return float(self.tension[range(len(path)), path][scored].min(initial=np.inf))
+
+
+def settings_of(tubes: Sequence[Context], config: TaskConfig, start_air: float = 0.0) -> Settings:
+    """The settings of a task, those excluded that have too little tension in the tubes.
+
+    Raises:
+        ValueError: no air in the range gives enough tension.
+    """
     end = config.scene.tube.helix_length
     lengths = np.unique(np.append(np.arange(FIRST, end, SPACING), end))
     feed, air = _grid(config)
     shape = len(lengths), len(feed)
-    metres = Metres(np.repeat(lengths, shape[1]), np.tile(feed, shape[0]), np.tile(air, shape[0]), {})
     spacing = np.gradient(lengths)
     spacing[[0, -1]] *= 0.5  # half a spacing at the ends
-    cost = expected_costs(tubes, response, config, metres).mean(axis=0).reshape(shape)
-    tension = np.quantile(tensions(tubes, config, metres), 1.0 - CONFIDENCE, axis=0).reshape(shape)
+    logarithm, share = np.log(feed), share_between(air, config.air_supply_rates)
+    change = (logarithm[:, None] - logarithm) ** 2 + (share[:, None] - share) ** 2
+    settings = Settings(lengths, spacing, feed, air, change, np.zeros(shape), np.zeros(shape, dtype=bool))
+    tension = np.quantile(tensions(tubes, config, settings.metres), 1.0 - CONFIDENCE, axis=0).reshape(shape)
     too_slack = slack(config, tension / MARGIN, lengths[:, None])
     hopeless = too_slack.all(axis=1)
     if hopeless.any():
@@ -196,14 +260,7 @@ def optimal_schedule(
         problem = f"air_supply_rates = {config.air_supply_rates!r} m3/s: the most air gives a root tension of only"
         raise ValueError(f"{problem} {at}, and {needed}")
     too_slack |= (air < start_air - 1e-12) & ~drive_counts(config, lengths[:, None])
-    logarithm, share = np.log(feed), share_between(air, config.air_supply_rates)
-    change = CHANGE_WEIGHT * ((logarithm[:, None] - logarithm) ** 2 + (share[:, None] - share) ** 2)
-    path = cheapest_path(np.where(too_slack, np.inf, cost * spacing[:, None]), change)
-    position, feeds_of, airs_of = (tuple(values.tolist()) for values in (lengths, feed[path], air[path]))
-    schedule = Schedule("inserted_length", "linear", position, feeds_of, airs_of)
-    on_path = range(len(path)), path
-    reward = float((metre_reward(config, cost) * spacing[:, None])[on_path].sum())
-    return Optimum(schedule, reward, float(tension[on_path][drive_counts(config, lengths)].min(initial=np.inf)))
+    return settings._replace(tension=tension, excluded=too_slack)
 
 
 def optimal_law(tubes: Sequence[Context], response: Response, config: TaskConfig, start_air: float = 0.0) -> Law:

@@ -163,6 +163,26 @@ class FeedDevice(Model):
     """Acceleration of the feed [m/s2]."""
 
 
+class Bundle(Model):
+    """A bundle of tubes to inspect, for the hours that an evaluation reports."""
+
+    tubes: Annotated[int, Field(ge=1, le=1_000_000)]
+    """Number of tubes."""
+    setup_time: Annotated[float, quantity(0.0, 1e5, "s")] = 0.0
+    """Time per tube that is not simulated [s]: next tube, way to the helix and its first metres."""
+    withdrawal_time: Annotated[float, quantity(0.0, 1e5, "s")] | None = None
+    """Time per tube to withdraw the probe [s]; not used if the withdrawal is simulated."""
+    withdrawal_speed: Annotated[float, quantity(1e-3, 10.0, "m/s")] | None = None
+    """Mean speed of the withdrawal [m/s], instead of the time."""
+
+    @model_validator(mode="after")
+    def _withdraws_once(self) -> Self:
+        if (self.withdrawal_time is None) == (self.withdrawal_speed is None):
+            problem = "give withdrawal_time [s] or withdrawal_speed [m/s], one of them"
+            raise PydanticCustomError("withdrawal", "{text}", {"text": problem})
+        return self
+
+
 MOST_FILE: Final = 16 * MEBI
 MOST_DRAWS: Final = 4096
 Draws = Annotated[tuple[FiniteFloat, ...], Field(min_length=1, max_length=MOST_DRAWS)]
@@ -290,6 +310,8 @@ class Plant(Model):
     follows from it. Empty: not known."""
     instrument: Instrument | None = None
     """Instrument and procedure; None: not known."""
+    bundle: Bundle | None = None
+    """Bundle of tubes whose hours are reported; None: no hours."""
 
     @classmethod
     def from_toml(cls, path: str | Path) -> Self:
@@ -445,6 +467,17 @@ class Plant(Model):
                 f" air_supply_rates is {3600.0 * most:.4g} m3/h, and {more} is enough for the whole route"
             )
         return float(air.max())
+
+    def bundle_for(self, config: TaskConfig) -> Bundle | None:
+        """The bundle with its withdrawal as a time, for the helix and the route; 0 if the task has both passes."""
+        if self.bundle is None:
+            return None
+        time = 0.0 if config.returns else self.bundle.withdrawal_time
+        if time is None:
+            assert self.bundle.withdrawal_speed
+            length = self.tube.helix_length + sum(segment.length or 0.0 for segment in self.route)
+            time = length / self.bundle.withdrawal_speed
+        return self.bundle.model_copy(update={"withdrawal_time": time, "withdrawal_speed": None})
 
     def _drag_factors(self, shares: FloatArray) -> FloatArray:
         """(n,) drag over its median at shares (n,) in (0, 1)."""

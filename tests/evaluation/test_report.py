@@ -25,6 +25,7 @@ from agents.evaluation.statistics import grouped, ranking
 from agents.policies.catalogue import named_policies
 from agents.policies.fixed import PI, Constant, Scheduled
 from agents.policies.wrappers import RoundTripPolicy, fastest_withdrawal, insertion_task
+from probe_env.envs.plants import Bundle
 from probe_env.envs.task import TaskConfig
 from probe_env.fidelity import ROUND_TRIP_PRESETS
 from probe_env.schedule import Schedule
@@ -125,6 +126,23 @@ def test_the_report_of_an_interrupted_evaluation_says_what_is_missing(tmp_path):
     evaluate_plan(plan, tmp_path)
     assert "Not finished" not in (tmp_path / "report.html").read_text()
     assert not (tmp_path / UNFINISHED).exists()
+
+
+def test_the_hours_of_a_bundle_are_printed_stored_and_reported(tmp_path, capsys):
+    """The plan's bundle is in report.json, so that the stored evaluation has the hours again, compared otherwise too.
+
+    Episodes of 0.3 s, 719.7 s of setup and 720 s of withdrawal: 0.4 h a tube.
+    """
+    evaluate_plan(make_plan(bundle=Bundle(tubes=50, setup_time=719.7, withdrawal_time=720.0)), tmp_path)
+    printed, hours = capsys.readouterr().out, pd.read_csv(tmp_path / "bundle.csv")
+    assert "Hours for 50 tubes" in printed
+    assert hours["policy"].tolist() == ["feed 0", "feed 1"]
+    np.testing.assert_allclose(hours[["hours", "hours_low", "hours_high"]], 20.0, rtol=1e-4)
+    assert "<h2>Hours for 50 tubes</h2>" in (tmp_path / "report.html").read_text()
+    (tmp_path / "bundle.csv").unlink()
+    assert main(["evaluate", str(tmp_path), "--against", "feed 1"]) == 0
+    pd.testing.assert_frame_equal(pd.read_csv(tmp_path / "bundle.csv"), hours)
+    assert json.loads((tmp_path / "report.json").read_text())["bundle"]["tubes"] == 50
 
 
 def test_a_stored_evaluation_gets_its_report_again(stored, tmp_path, capsys, monkeypatch):

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from oracles.scatter import hits_within
-from scipy.stats import binom
+from scipy.stats import betabinom, binom
 
 from agents.evaluation import figures
 from agents.evaluation.kpis import CORE, HIGH, KPIS
@@ -15,6 +15,8 @@ from agents.evaluation.signal import draw_curves
 from agents.evaluation.statistics import (
     Interval,
     bands,
+    bundle_hours,
+    bundle_table,
     comparison_lines,
     depths_of,
     endings,
@@ -28,6 +30,7 @@ from agents.evaluation.statistics import (
     summarise,
 )
 from probe_env import Context
+from probe_env.envs.plants import Bundle
 from probe_env.envs.task import ENDINGS
 from probe_env.inspection.detection import DEPTHS, depth_found, pod_gaussian, snr_at
 from probe_env.inspection.metrics import POD_NAMES
@@ -219,3 +222,46 @@ def test_bands_and_curves_of_a_stored_evaluation(tmp_path, capsys):
     assert "over 3 tubes" in capsys.readouterr().out
     assert len(pd.read_csv(tmp_path / "out" / "pod.csv")) == len(DEPTHS)
     assert (tmp_path / "out" / "pod.png").exists()
+
+
+@pytest.mark.parametrize("tubes", [1, 40, 4000])
+def test_the_hours_of_a_bundle_have_the_scatter_of_the_mean_and_of_its_tubes(tubes):
+    """Half the width is 1.96 s sqrt(N^2/n + N); the ends of 2000 resamples scatter by 2.2 % of the width.
+
+    Without the tubes' own scatter it is 0.16, 0.71 and 0.995 of this.
+    """
+    times = np.random.default_rng(4).normal(400.0, 60.0, size=40)
+    hours, _, _ = bundle_hours(times, np.zeros(40, dtype=bool), tubes)
+    assert hours.mean == pytest.approx(tubes * times.mean() / 3600.0)
+    half = 1.96 * times.std(ddof=1) * np.sqrt(tubes**2 / 40 + tubes) / 3600.0
+    assert 0.5 * (hours.high - hours.low) == pytest.approx(half, rel=0.1)
+    assert hours.low < hours.mean < hours.high
+
+
+def test_equal_times_give_exact_hours_and_a_beta_binomial_number_of_second_passes():
+    """Shares as in Brown, Cai and DasGupta 2001 (Jeffreys, n = 10); one simulated tube has a share but no interval."""
+    times, flags = np.full(10, 360.0), np.arange(10) < 1
+    hours, share, added = bundle_hours(times, flags, 500)
+    assert astuple(hours) == pytest.approx((50.0, 50.0, 50.0))
+    assert astuple(share) == pytest.approx((0.1, 0.011, 0.381), abs=5e-4)
+    low, high = betabinom.ppf((0.025, 0.975), 500, 1.5, 9.5) * 0.1
+    assert added.mean == pytest.approx(5.0)
+    assert (added.low, added.high) == pytest.approx((low, high), rel=0.25)  # 0.6 and 19 h; 5 standard errors of 2000
+    ends = [astuple(bundle_hours(times, np.full(10, again), 500)[1]) for again in (False, True)]
+    assert ends == [pytest.approx((0.0, 0.0, 0.217), abs=5e-4), pytest.approx((1.0, 0.783, 1.0), abs=5e-4)]
+    hours, share, added = bundle_hours(times[:1], flags[:1], 500)
+    assert (hours.text(), share.mean, added.text()) == ("50", 1.0, "50")
+
+
+def test_a_bundle_has_a_row_for_each_policy():
+    """300 s and 320 s of two seeds, 20 s of setup and 30 s of withdrawal: 360 s a tube. Loud or incomplete: again."""
+    table = pd.DataFrame({
+        "policy": ["a"] * 4 + ["b"] * 2, "context": [0, 0, 1, 1, 0, 1], "seed": [0, 1, 0, 1, 0, 0],
+        "inspection_time_s": [300.0, 320.0] * 2 + [670.0] * 2, "complete": [1.0] * 5 + [0.0],
+        "share_within_limit": [1.0, 0.9, 1.0, 1.0, 1.0, 0.5], "inspected_share": [1.0] * 5 + [0.5],
+    })  # fmt: skip
+    rows = bundle_table(table, Bundle(tubes=100, setup_time=20.0, withdrawal_time=30.0)).set_index("policy")
+    assert rows["hours"].to_dict() == pytest.approx({"a": 10.0, "b": 20.0})
+    assert rows["second_pass_share"].to_dict() == {"a": 0.5, "b": 0.5}
+    assert rows["second_pass_hours"].to_dict() == pytest.approx({"a": 5.0, "b": 10.0})
+    assert bundle_table(table.drop(columns="inspected_share"), None).empty

@@ -9,7 +9,7 @@ from scipy.stats import ks_1samp, norm, uniform
 from agents.vec_env import ProbeVecEnv
 from probe_env import Plant, Scene, TaskConfig
 from probe_env.envs.contexts import HELIX_DIAMETERS, Context
-from probe_env.envs.plants import Normal, middle, quantiles
+from probe_env.envs.plants import Bundle, Normal, middle, quantiles
 from probe_env.physics.closed_forms.route import required_root_tension, route_forces
 
 TEXT = """
@@ -145,6 +145,11 @@ BROKEN = {
     },
     "contact.friction.std = 0.5 is more than the mean, 0.15": {"contact": {"friction": {"mean": 0.15, "std": 0.5}}},
     "contact.stiffness.std = 200000 is more than": {"contact": {"stiffness": {"mean": 1e5, "std": 2e5}}},
+    "bundle.tubes: .*greater than or equal to 1": {"bundle": {"tubes": 0, "withdrawal_time": 60.0}},
+    "bundle.tubes: Field required": {"bundle": {"withdrawal_time": 60.0}},
+    r"bundle: give withdrawal_time \[s\] or withdrawal_speed \[m/s\], one of them": {"bundle": {"tubes": 9}},
+    "bundle: give withdrawal_time": {"bundle": {"tubes": 9, "withdrawal_time": 60.0, "withdrawal_speed": 1.0}},
+    "bundle.withdrawal_speed: 0.0 m/s is outside the accepted range": {"bundle": {"tubes": 9, "withdrawal_speed": 0.0}},
 }  # fmt: skip
 
 
@@ -156,6 +161,17 @@ def test_errors_are_one_line_with_file_and_field(tmp_path):
             Plant.from_toml(path)
         assert str(error.value).startswith(str(path))
         assert "\n" not in str(error.value)
+
+
+def test_the_withdrawal_of_a_bundle_is_a_time():
+    """60 m of helix and 12 m of route at 0.5 m/s; nothing where the withdrawal is simulated."""
+    tables = {"bundle": {"tubes": 9, "setup_time": 60.0, "withdrawal_speed": 0.5}}
+    plant = Plant.model_validate(tables | {"route": [{"length": 12.0, "slope": 90.0}, {"helix": True}]})
+    assert plant.bundle_for(plant.config) == Bundle(tubes=9, setup_time=60.0, withdrawal_time=144.0)
+    both = plant.configured(changes={"passes": "both"})
+    assert plant.bundle_for(both) == Bundle(tubes=9, setup_time=60.0, withdrawal_time=0.0)
+    assert Plant(bundle=plant.bundle_for(plant.config)).bundle_for(plant.config) == plant.bundle_for(plant.config)
+    assert Plant().bundle_for(plant.config) is None
 
 
 def test_the_required_tension_follows_from_the_route_unless_it_is_set():
