@@ -1,7 +1,7 @@
 """Chaotic regime: statistics of ensembles at constant length and of insertions, by method, step and mesh.
 
-Where the probe vibrates trajectories diverge, so statistics of runs with a start perturbation of 0.1 um are compared. All runs
-of a setting share a batch.
+Where the probe vibrates trajectories diverge, so statistics of runs with a start perturbation of 0.1 um are compared.
+All runs of a setting share a batch.
 """
 
 from __future__ import annotations

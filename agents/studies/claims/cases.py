@@ -1,7 +1,7 @@
 """Ensembles of the published study's cases, resumable.
 
-Where the probe vibrates, its motion is chaotic: a claim is tested on statistics of members whose start is perturbed by 0.1 um.
-Member 0 has the study's start.
+Where the probe vibrates, its motion is chaotic: a claim is tested on statistics of members whose start is perturbed by
+0.1 um. Member 0 has the study's start.
 """
 
 from __future__ import annotations
