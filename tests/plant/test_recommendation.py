@@ -93,6 +93,22 @@ def test_it_is_expected_to_beat_what_ships_and_what_is_near() -> None:
     assert rough < 0.7 * slippery
 
 
+def test_the_interval_is_of_the_samples() -> None:
+    """That of two equal tubes is their reward; of different ones it holds the mean."""
+    config = Plant().configured()
+    alone, twice, different = (optimal_schedule(tubes, RESPONSE, config) for tubes in (TUBES[:1], TUBES[:1] * 2, TUBES))
+    assert alone.interval == pytest.approx((alone.reward, alone.reward))
+    assert (twice.reward, *twice.interval) == pytest.approx((alone.reward,) * 3)
+    low, high = different.interval
+    assert low < different.reward < high
+    lengths = np.array(different.schedule.position)
+    feed, air = (np.array(v) for v in (different.schedule.feed_speed, different.schedule.air_supply_rate))
+    costs = expected_costs(TUBES, RESPONSE, config, Metres(lengths, feed, air, {}))
+    spacing = np.diff(lengths, prepend=lengths[0], append=lengths[-1])
+    rewards = (config.progress_weight - costs) @ (0.5 * (spacing[1:] + spacing[:-1]))
+    assert (low, high) == pytest.approx(np.quantile(rewards, [0.05, 0.95]))
+
+
 def test_plants_without_an_answer_are_refused() -> None:
     """In one line with the field and its value: too little air, or a vibration that the response does not have."""
     weak = Plant(air=Supply(air_supply_rates=(0.002, 0.004)), task={"required_tension": 5.0})
@@ -197,10 +213,12 @@ def test_it_is_written_without_a_simulation(tmp_path: Path, capsys: pytest.Captu
     assert Schedule.read(tmp_path / "my.csv").position[-1] == 24.0
     record = json.loads((tmp_path / "my.json").read_text())
     assert record["least_root_tension_n"] >= 1.2
+    assert record["expected_reward_low"] < record["expected_reward"] < record["expected_reward_high"]
     assert not record["calibrated"]
     assert sorted(path.name for path in tmp_path.iterdir()) == ["my.csv", "my.json", "tube.toml"]
     printed = capsys.readouterr().out
-    assert "expected reward" in printed
+    interval = "90 % of 96 samples: {expected_reward_low:.1f} to {expected_reward_high:.1f};".format(**record)
+    assert f"expected reward {record['expected_reward']:.1f} ({interval} expanding air and weight: -9.4)" in printed
     assert "withdrawal" not in printed
     (tmp_path / "tube.toml").write_text(TUBE + '[task]\npasses = "both"\n')
     assert main(["recommend", *arguments]) == 0

@@ -72,6 +72,10 @@ def test_steady_sliding_in_the_helix(method):
         step = factor * METHODS[method].usual_step
         assert mean_tension(heavy, method, step) / without == pytest.approx(expected, rel=3e-4)
     assert without == pytest.approx(steady_tensions(light)[-1], rel=2.5e-3)
+    both = scene_of(True, air={"compressible": True})
+    expected_both = steady_tensions(both)[-1] / steady_tensions(light)[-1]
+    assert expected_both == pytest.approx(0.9079, rel=1e-4)
+    assert mean_tension(both, method) / without == pytest.approx(expected_both, rel=1e-3)
 
 
 @pytest.mark.parametrize("method", WEIGHING)
