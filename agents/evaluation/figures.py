@@ -67,7 +67,7 @@ def speed_and_vibration(
         vibration: column of the vibration [m].
         limit: its limit [m]; None: not drawn.
     """
-    figure, axes = plt.subplots(2, 1, figsize=(9, 4), sharex=True, layout="constrained")
+    figure, axes = plt.subplots(2, 1, figsize=(7, 3.8), sharex=True, layout="constrained")
     feed = "highest_feed" if "highest_feed" in profile else "feed_speed"
     fields = ((feed, 1.0, "feed [m/s]", permitted, "permitted"), (vibration, MM, "vibration [mm]", limit, "limit"))
     for axis, (name, factor, label, bound, bound_name) in zip(axes, fields, strict=True):
@@ -76,15 +76,18 @@ def speed_and_vibration(
             values.astype(float) * factor for values in (of_metre.min(), of_metre.mean(), of_metre.max())
         )
         axis.fill_between(mean.index, low, high, color=BLUE, alpha=0.2, linewidth=0)
-        axis.plot(mean.index, mean, color=BLUE, label="mean")
+        axis.plot(mean.index, mean, color=BLUE)
+        top = high.max()
         if bound is not None and np.isfinite(bound):
-            axis.axhline(bound * factor, color=RED, linestyle="--", label=bound_name)
+            top = np.fmax(top, bound * factor)
+            axis.axhline(bound * factor, color=RED, linestyle="--")
+            at = {"xycoords": ("axes fraction", "data"), "ha": "right", "va": "bottom"}
+            axis.annotate(bound_name, (0.995, bound * factor), color=RED, **at)
         axis.set_ylabel(label)
-        axis.set_ylim(bottom=0.0)
+        axis.set_ylim(0.0, 1.2 * top if top > 0.0 else 1.0)
         axis.grid(**GRID)
-        axis.legend(frameon=False, loc="upper left", bbox_to_anchor=(1.0, 1.0))
     axes[1].set_xlabel("inserted length [m]")
-    return save(figure, path)
+    return save(figure, path, dpi=150)
 
 
 def curves(bands: pd.DataFrame, path: Path) -> Path:

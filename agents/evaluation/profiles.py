@@ -161,8 +161,8 @@ def _fixed_schedules(described: Description) -> dict[str, Schedule]:
 def short_schedule(described: Description, profile: pd.DataFrame) -> tuple[str, pd.DataFrame]:
     """At most ``MOST_ROWS`` rows of a policy's schedule [m, m/s, m3/s], and a note on them.
 
-    Of a schedule over length its rows, or its values at evenly spaced lengths; of other policies the mean over the
-    insertions of what was driven.
+    Of a schedule over length its rows, if there are more those that describe it best; of other policies the mean over
+    the insertions of what was driven.
 
     Args:
         described: description of the policy.
@@ -171,16 +171,31 @@ def short_schedule(described: Description, profile: pd.DataFrame) -> tuple[str, 
     columns = ["inserted_length", "feed_speed", "air_supply_rate"]
     schedules = list(_fixed_schedules(described).values())
     if len(schedules) == 1 and schedules[0].over == columns[0]:
-        schedule = schedules[0]
-        length = np.array(schedule.position)
-        note = "linear between rows" if schedule.interpolation == "linear" else "each row applies until the next"
-        if len(length) > MOST_ROWS:
-            note = f"values at some lengths; the file has {len(length)} rows"
-            length = np.unique(np.linspace(length[0], length[-1], MOST_ROWS).round())
-        return note, pd.DataFrame(dict(zip(columns, (length, *schedule.at(length)), strict=True)))
+        note = "linear between rows" if schedules[0].interpolation == "linear" else "each row applies until the next"
+        rows = pd.DataFrame({name: getattr(schedules[0], name) for name in ("position", *columns[1:])})
+        if len(rows) > MOST_ROWS:
+            note = f"{MOST_ROWS} of {len(rows)} rows; {note}"
+            rows = rows.iloc[_best_rows(schedules[0], MOST_ROWS)]
+        return note, rows.set_axis(columns, axis=1)
     means = profile[columns].dropna().astype(float).groupby(columns[0], as_index=False).mean()
-    rows = np.unique(np.linspace(0, max(len(means) - 1, 0), MOST_ROWS).round().astype(int))
-    return "as driven, mean over the insertions", means.iloc[rows[: len(means)]]
+    metres = np.unique(np.linspace(0, max(len(means) - 1, 0), MOST_ROWS).round().astype(int))
+    return "as driven, mean over the insertions", means.iloc[metres[: len(means)]]
+
+
+def _best_rows(schedule: Schedule, count: int) -> list[int]:
+    """The first and the last row, and one after the other the row from which the schedule of these deviates most."""
+    values = np.array([schedule.feed_speed, schedule.air_supply_rate])
+    scale = np.maximum(np.ptp(values, axis=1, keepdims=True), 1e-9)
+    rows = [0, len(schedule.position) - 1]
+    for _ in range(count - len(rows)):
+        position, feed, air = (
+            tuple(column[k] for k in rows)
+            for column in (schedule.position, schedule.feed_speed, schedule.air_supply_rate)
+        )
+        thinned = replace(schedule, position=position, feed_speed=feed, air_supply_rate=air)
+        deviation = np.abs(np.array(thinned.at(schedule.position)) - values) / scale
+        rows = sorted({*rows, int(deviation.max(axis=0).argmax())})
+    return rows
 
 
 def _schedule(points: Description) -> Schedule:

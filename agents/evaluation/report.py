@@ -215,9 +215,8 @@ def _pictures(done: Evaluation, summary: pd.DataFrame, driven: pd.DataFrame) -> 
         known = vibration in driven
         column, bound = (vibration, rms_limit(task)) if known else ("radial_rms_m", None)
         measure = MEASURES[task.vibration_measure if known else "displacement"][0]
-        many = (
-            "; bands: all insertions" if len(driven.drop_duplicates(["context", "seed", "training_seed"])) > 1 else ""
-        )
+        several = len(driven.drop_duplicates(["context", "seed", "training_seed"])) > 1
+        many = "; line: mean, band: all insertions" if several else ""
         caption = f"Highest feed of each metre, and its vibration ({measure}){many}."
         picture = partial(figures.speed_and_vibration, permitted=task.permitted_speed[0], vibration=column, limit=bound)
         draw("Speed and vibration", caption, picture, driven)
