@@ -174,20 +174,20 @@ def short_schedule(described: Description, profile: pd.DataFrame) -> tuple[str, 
         note = "linear between rows" if schedules[0].interpolation == "linear" else "each row applies until the next"
         rows = pd.DataFrame({name: getattr(schedules[0], name) for name in ("position", *columns[1:])})
         if len(rows) > MOST_ROWS:
-            note = f"{MOST_ROWS} of {len(rows)} rows; {note}"
-            rows = rows.iloc[_best_rows(schedules[0], MOST_ROWS)]
+            best = _best_rows(schedules[0], MOST_ROWS)
+            note, rows = f"{len(best)} of {len(rows)} rows; {note}", rows.iloc[best]
         return note, rows.set_axis(columns, axis=1)
     means = profile[columns].dropna().astype(float).groupby(columns[0], as_index=False).mean()
     metres = np.unique(np.linspace(0, max(len(means) - 1, 0), MOST_ROWS).round().astype(int))
     return "as driven, mean over the insertions", means.iloc[metres[: len(means)]]
 
 
-def _best_rows(schedule: Schedule, count: int) -> list[int]:
+def _best_rows(schedule: Schedule, most: int) -> list[int]:
     """The first and the last row, and one after the other the row from which the schedule of these deviates most."""
     values = np.array([schedule.feed_speed, schedule.air_supply_rate])
     scale = np.maximum(np.ptp(values, axis=1, keepdims=True), 1e-9)
     rows = [0, len(schedule.position) - 1]
-    for _ in range(count - len(rows)):
+    for _ in range(most - len(rows)):
         position, feed, air = (
             tuple(column[k] for k in rows)
             for column in (schedule.position, schedule.feed_speed, schedule.air_supply_rate)
