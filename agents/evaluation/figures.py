@@ -69,8 +69,11 @@ def speed_and_vibration(
     """
     figure, axes = plt.subplots(2, 1, figsize=(7, 3.8), sharex=True, layout="constrained")
     feed = "highest_feed" if "highest_feed" in profile else "feed_speed"
-    fields = ((feed, 1.0, "feed [m/s]", permitted, "permitted"), (vibration, MM, "vibration [mm]", limit, "limit"))
-    for axis, (name, factor, label, bound, bound_name) in zip(axes, fields, strict=True):
+    fields = (
+        (feed, 1.0, "feed [m/s]", permitted, "permitted", "right"),
+        (vibration, MM, "vibration [mm]", limit, "limit", "left"),  # where it is quiet
+    )
+    for axis, (name, factor, label, bound, bound_name, side) in zip(axes, fields, strict=True):
         of_metre = profile.dropna(subset=["inserted_length", name]).groupby("inserted_length")[name]
         low, mean, high = (
             values.astype(float) * factor for values in (of_metre.min(), of_metre.mean(), of_metre.max())
@@ -81,8 +84,8 @@ def speed_and_vibration(
         if bound is not None and np.isfinite(bound):
             top = np.fmax(top, bound * factor)
             axis.axhline(bound * factor, color=RED, linestyle="--")
-            at = {"xycoords": ("axes fraction", "data"), "ha": "right", "va": "bottom"}
-            axis.annotate(bound_name, (0.995, bound * factor), color=RED, **at)
+            at = {"xycoords": ("axes fraction", "data"), "ha": side, "va": "bottom"}
+            axis.annotate(bound_name, (0.995 if side == "right" else 0.005, bound * factor), color=RED, **at)
         axis.set_ylabel(label)
         axis.set_ylim(0.0, 1.2 * top if top > 0.0 else 1.0)
         axis.grid(**GRID)
