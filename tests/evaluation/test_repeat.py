@@ -18,6 +18,7 @@ from agents.evaluation.repeat import (
     intervals_to_repeat,
     is_judged,
     quiet_feeds,
+    quiet_text,
     repeat_overview,
     repeat_schedule,
     share_to_repeat,
@@ -130,6 +131,14 @@ def test_withdrawals_and_constant_lengths_are_not_judged():
     both = {"passes": "both", "time_limit": 1e3}
     changes = ({}, {"growing": False}, both | {"inspects": "back"}, both | {"inspects": "best"}, {"instrument": None})
     assert [is_judged(CONFIG.model_copy(update=change)) for change in changes] == [True, False, False, True, False]
+
+
+def test_a_sentence_names_eight_intervals_at_most():
+    """Five of every six metres are quiet, from 5 m on: ten loud metres, the last from 59 m on."""
+    verdict, _ = judged(insertion(vibration=lambda metre: np.where((metre - 5.5) % 6 == 0.0, 2e-4, 5e-5)))
+    text = quiet_text(verdict, "0.1 mm")
+    assert text.startswith("not quiet: vibration above 0.1 mm in 10.0 m; at 5.0 to 6.0, 11.0 to 12.0, ")
+    assert text.endswith(", 47.0 to 48.0 m and 2 more")
 
 
 def test_an_overview_has_few_rows():
