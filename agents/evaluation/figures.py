@@ -6,9 +6,10 @@ from pathlib import Path
 from typing import Any
 
 import matplotlib.pyplot as plt
+import numpy as np
 import pandas as pd
 
-from agents.records.drawing import GREY, GRID, MM, escape_dollars, policy_colours, save
+from agents.records.drawing import BLUE, GREY, GRID, MM, RED, escape_dollars, policy_colours, save
 
 
 def trade_off(summary: pd.DataFrame, path: Path) -> Path:
@@ -52,6 +53,44 @@ def policy_profiles(profile: pd.DataFrame, path: Path, limit_mm: float | None) -
         axes[2].axhline(limit_mm, color=GREY, linestyle=":")
     axes[2].set_xlabel("inserted length [m]")
     return save(figure, path)
+
+
+def speed_and_vibration(
+    profile: pd.DataFrame, path: Path, permitted: float, vibration: str, limit: float | None
+) -> Path:
+    """Driven and permitted speed above the vibration over the inserted length: mean and range over the insertions.
+
+    Args:
+        profile: a row for each metre of the episodes of one policy.
+        path: file of the figure.
+        permitted: permitted speed [m/s]; infinite: none.
+        vibration: column of the vibration [m].
+        limit: its limit [m]; None: not drawn.
+    """
+    figure, axes = plt.subplots(2, 1, figsize=(7, 3.8), sharex=True, layout="constrained")
+    feed = "highest_feed" if "highest_feed" in profile else "feed_speed"
+    fields = (
+        (feed, 1.0, "feed [m/s]", permitted, "permitted", "right"),
+        (vibration, MM, "vibration [mm]", limit, "limit", "left"),  # where it is quiet
+    )
+    for axis, (name, factor, label, bound, bound_name, side) in zip(axes, fields, strict=True):
+        of_metre = profile.dropna(subset=["inserted_length", name]).groupby("inserted_length")[name]
+        low, mean, high = (
+            values.astype(float) * factor for values in (of_metre.min(), of_metre.mean(), of_metre.max())
+        )
+        axis.fill_between(mean.index, low, high, color=BLUE, alpha=0.2, linewidth=0)
+        axis.plot(mean.index, mean, color=BLUE)
+        top = high.max()
+        if bound is not None and np.isfinite(bound):
+            top = np.fmax(top, bound * factor)
+            axis.axhline(bound * factor, color=RED, linestyle="--")
+            at = {"xycoords": ("axes fraction", "data"), "ha": side, "va": "bottom"}
+            axis.annotate(bound_name, (0.995 if side == "right" else 0.005, bound * factor), color=RED, **at)
+        axis.set_ylabel(label)
+        axis.set_ylim(0.0, 1.2 * top if top > 0.0 else 1.0)
+        axis.grid(**GRID)
+    axes[1].set_xlabel("inserted length [m]")
+    return save(figure, path, dpi=150)
 
 
 def curves(bands: pd.DataFrame, path: Path) -> Path:

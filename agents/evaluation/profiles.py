@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Collection, Mapping
 from dataclasses import replace
@@ -21,6 +22,8 @@ MOST_METRES: Final = 60_000
 """Number of points in all traces beyond which metres are averaged, to bound the size of the page."""
 MOST_POINTS: Final = 2000
 """Points of a schedule that is offered for download."""
+MOST_ROWS: Final = 8
+"""Rows of a schedule on the first page."""
 FIELDS: Final = {"feed_speed": 1e4, "air_supply_rate": 3.6e4, "radial_rms_m": 1e7}
 """Column of a trace -> factor in the page: whole numbers of 0.1 mm/s, 0.1 m3/h and 0.1 um."""
 
@@ -107,12 +110,8 @@ def downloads(
         described = policies.get(policy, {})
         back = described.get("back")
         fixed = back is not None or not returns
-        permitted = described.get("permitted_feed")  # of ``SpeedLimited``
-        described = inner_policy(described)
         schedules = (_fixed_schedules(described) or _median_schedule(policy, table, profile)) if fixed else {}
         for what, schedule in schedules.items():
-            if permitted is not None:
-                schedule = replace(schedule, feed_speed=tuple(min(feed, permitted) for feed in schedule.feed_speed))
             file = f"{file_name(policy)}{'-' + file_name(what) if len(schedules) > 1 else ''}.csv"
             address = f"data:text/csv;charset=utf-8,{quote(_csv(schedule, back))}"
             offered.append(Download(policy, what, file, address))
@@ -146,11 +145,57 @@ def _csv(schedule: Schedule, withdrawal: Description | None) -> str:
 
 
 def _fixed_schedules(described: Description) -> dict[str, Schedule]:
+    """Name -> schedule of a policy that follows schedules; empty for others."""
+    permitted, described = described.get("permitted_feed", math.inf), inner_policy(described)  # of ``SpeedLimited``
     listed = {f"helix of {d} m": s for d, s in described.get("schedules", {}).items()}
     if "schedule" in described:
         listed = {"unchanged": described["schedule"]}
     schedules = {what: _schedule(points) for what, points in listed.items()}
-    return {what: schedule for what, schedule in schedules.items() if len(schedule.position) <= MOST_POINTS}
+    return {
+        what: replace(schedule, feed_speed=tuple(min(feed, permitted) for feed in schedule.feed_speed))
+        for what, schedule in schedules.items()
+        if len(schedule.position) <= MOST_POINTS
+    }
+
+
+def short_schedule(described: Description, profile: pd.DataFrame) -> tuple[str, pd.DataFrame]:
+    """At most ``MOST_ROWS`` rows of a policy's schedule [m, m/s, m3/s], and a note on them.
+
+    Of a schedule over length its rows, if there are more those that describe it best; of other policies the mean over
+    the insertions of what was driven.
+
+    Args:
+        described: description of the policy.
+        profile: a row for each metre of its episodes.
+    """
+    columns = ["inserted_length", "feed_speed", "air_supply_rate"]
+    schedules = list(_fixed_schedules(described).values())
+    if len(schedules) == 1 and schedules[0].over == columns[0]:
+        note = "linear between rows" if schedules[0].interpolation == "linear" else "each row applies until the next"
+        rows = pd.DataFrame({name: getattr(schedules[0], name) for name in ("position", *columns[1:])})
+        if len(rows) > MOST_ROWS:
+            best = _best_rows(schedules[0], MOST_ROWS)
+            note, rows = f"{len(best)} of {len(rows)} rows; {note}", rows.iloc[best]
+        return note, rows.set_axis(columns, axis=1)
+    means = profile[columns].dropna().astype(float).groupby(columns[0], as_index=False).mean()
+    metres = np.unique(np.linspace(0, max(len(means) - 1, 0), MOST_ROWS).round().astype(int))
+    return "as driven, mean over the insertions", means.iloc[metres[: len(means)]]
+
+
+def _best_rows(schedule: Schedule, most: int) -> list[int]:
+    """The first and the last row, and one after the other the row from which the schedule of these deviates most."""
+    values = np.array([schedule.feed_speed, schedule.air_supply_rate])
+    scale = np.maximum(np.ptp(values, axis=1, keepdims=True), 1e-9)
+    rows = [0, len(schedule.position) - 1]
+    for _ in range(most - len(rows)):
+        position, feed, air = (
+            tuple(column[k] for k in rows)
+            for column in (schedule.position, schedule.feed_speed, schedule.air_supply_rate)
+        )
+        thinned = replace(schedule, position=position, feed_speed=feed, air_supply_rate=air)
+        deviation = np.abs(np.array(thinned.at(schedule.position)) - values) / scale
+        rows = sorted({*rows, int(deviation.max(axis=0).argmax())})
+    return rows
 
 
 def _schedule(points: Description) -> Schedule:

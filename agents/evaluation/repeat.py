@@ -31,6 +31,10 @@ SETTLING: Final = 2.0
 """Time in which the vibration follows a change of the feed [s], see ``probe_env.envs.vibration_map``."""
 GRID: Final = 0.1
 """Spacing of the points of a repeated pass [m]."""
+BIN: Final = 5.0
+"""Length of a bin of ``repeat_overview`` [m], or a multiple."""
+MOST_ROWS: Final = 8
+"""Number of intervals in an overview or a sentence."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -234,6 +238,8 @@ class Verdict:
         repeat: mean length to repeat, for all reasons [m].
         sensor_length: mean length in which the sum of feed and rms of the axial velocity is above the permitted speed
             [m]; NaN: not known.
+        loud: intervals in which vibration was above its limit in some tube [m]; none for measures not in ``PROFILED``.
+        loud_length: mean length with vibration above its limit [m].
     """
 
     policy: str
@@ -244,6 +250,8 @@ class Verdict:
     excess: float
     repeat: float
     sensor_length: float
+    loud: tuple[tuple[float, float], ...]
+    loud_length: float
 
     @property
     def allowed(self) -> bool:
@@ -254,17 +262,19 @@ class Verdict:
 def verdict_of(policy: str, cases: Sequence[Case], config: TaskConfig) -> Verdict:
     """The verdict on the episodes of a policy, or on a log."""
     kpis = pd.DataFrame([instrument_kpis(stretches, config) for stretches, _ in cases])
-    begin, end = (
-        np.concatenate([getattr(part, side)[part.reasons(config)[SPEED]] for part, _ in cases])
-        for side in ("begin", "end")
-    )
-    order = np.argsort(begin, kind="stable")
-    too_fast = tuple(_merged(zip(begin[order].tolist(), end[order].tolist(), strict=True), 0.0))
+    intervals: dict[str, tuple[tuple[float, float], ...]] = {}
+    lengths: dict[str, float] = {}
+    for reason in (SPEED, NOISE):
+        bad = [(part.begin[where], part.end[where]) for part, _ in cases for where in (part.reasons(config)[reason],)]
+        begin, end = (np.concatenate(side) for side in zip(*bad, strict=True))
+        order = np.argsort(begin, kind="stable")
+        intervals[reason] = tuple(_merged(zip(begin[order].tolist(), end[order].tolist(), strict=True), 0.0))
+        lengths[reason] = float((end - begin).sum()) / len(cases)
     mean = kpis.mean()
     return Verdict(
-        policy, *config.permitted_speed, too_fast, float(mean["length_too_fast_m"]),
-        float(kpis["speed_excess_m_per_s"].max()), float(mean["length_to_repeat_m"]),
-        float(mean.get("length_sensor_too_fast_m", math.nan)),
+        policy, *config.permitted_speed, intervals[SPEED], lengths[SPEED], float(kpis["speed_excess_m_per_s"].max()),
+        float(mean["length_to_repeat_m"]), float(mean.get("length_sensor_too_fast_m", math.nan)),
+        intervals[NOISE], lengths[NOISE],
     )  # fmt: skip
 
 
@@ -273,14 +283,27 @@ def verdict_text(verdict: Verdict, tubes: int = 1) -> str:
     if not verdict.requirement:
         return "no speed limit of the instrument is set"
     limit = f"{verdict.permitted:.3g} m/s ({verdict.requirement})"
-    mean, some = (" in the mean", "in some tube ") if tubes > 1 else ("", "")
+    mean = " in the mean" if tubes > 1 else ""
     sensor = f"; with its axial vibration (rms) the sensor is above it in {verdict.sensor_length:.1f} m{mean}"
     sensor = sensor if verdict.sensor_length > verdict.length else ""
     if verdict.allowed:
         return f"allowed: at most {limit} everywhere{sensor}"
-    where = ", ".join(f"{begin:.1f} to {end:.1f}" for begin, end in verdict.too_fast)
     length, excess = f"{verdict.length:.1f} m{mean}", f"{verdict.excess:.3g} m/s"
-    return f"not allowed: {length} above {limit}, by up to {excess}; {some}at {where} m{sensor}"
+    return f"not allowed: {length} above {limit}, by up to {excess}; {_where_text(verdict.too_fast, tubes)}{sensor}"
+
+
+def quiet_text(verdict: Verdict, limit: str, tubes: int = 1) -> str:
+    """Whether the vibration is within its limit in every metre, in a sentence; ``limit`` with its unit."""
+    if not verdict.loud:
+        return f"quiet: vibration within {limit} in every metre"
+    length = f"{verdict.loud_length:.1f} m{' in the mean' if tubes > 1 else ''}"
+    return f"not quiet: vibration above {limit} in {length}; {_where_text(verdict.loud, tubes)}"
+
+
+def _where_text(intervals: Sequence[tuple[float, float]], tubes: int) -> str:
+    where = ", ".join(f"{begin:.1f} to {end:.1f}" for begin, end in intervals[:MOST_ROWS])
+    more = f" and {len(intervals) - MOST_ROWS} more" if len(intervals) > MOST_ROWS else ""
+    return f"{'in some tube ' if tubes > 1 else ''}at {where} m{more}"
 
 
 def share_to_repeat(intervals: Sequence[pd.DataFrame], edges: FloatArray) -> FloatArray:
@@ -293,6 +316,38 @@ def share_to_repeat(intervals: Sequence[pd.DataFrame], edges: FloatArray) -> Flo
     begin, end = edges[:-1, None], edges[1:, None]
     hit = [((part["from_m"].to_numpy() < end) & (part["to_m"].to_numpy() > begin)).any(axis=1) for part in intervals]
     return np.asarray(np.mean(hit, axis=0))
+
+
+def repeat_overview(intervals: Sequence[pd.DataFrame], length: float) -> pd.DataFrame:
+    """What is to be repeated in some insertion, in at most ``MOST_ROWS`` rows with columns ``INTERVAL`` and "share".
+
+    The intervals of all insertions if they fit, else bins of ``BIN`` or a multiple of it; neighbours with the same
+    reasons and share of the insertions are joined.
+
+    Args:
+        intervals: of each insertion.
+        length: of the helix [m].
+    """
+    parts, width = pd.concat(list(intervals)), BIN
+    rows = _overview_rows(intervals, np.unique(parts[INTERVAL[:2]].to_numpy(dtype=float)))
+    while len(rows) > MOST_ROWS:
+        rows = _overview_rows(intervals, np.append(np.arange(0.0, length - 1e-9, width), length))
+        width *= 2.0
+    return pd.DataFrame(rows, columns=[*INTERVAL, "share"])
+
+
+def _overview_rows(intervals: Sequence[pd.DataFrame], edges: FloatArray) -> list[tuple[float, float, str, float]]:
+    parts = pd.concat(list(intervals))
+    rows: list[tuple[float, float, str, float]] = []
+    shares = share_to_repeat(intervals, edges).tolist() if len(edges) else []
+    for begin, end, share in zip(edges[:-1].tolist(), edges[1:].tolist(), shares, strict=True):
+        reasons = parts.loc[(parts["from_m"] < end) & (parts["to_m"] > begin), "reason"]
+        reason = AND.join(name for name in REASONS if reasons.str.contains(name).any())
+        if rows and rows[-1][1:] == (begin, reason, share):
+            rows[-1] = rows[-1][0], end, reason, share
+        elif share > 0.0:
+            rows.append((begin, end, reason, share))
+    return rows
 
 
 def quiet_feeds(stretches: Stretches, context: Context, config: TaskConfig, vibration: VibrationMap) -> FloatArray:

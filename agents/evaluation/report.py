@@ -10,7 +10,6 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-import numpy as np
 import pandas as pd
 from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
@@ -18,13 +17,14 @@ from markupsafe import Markup
 from agents.evaluation import figures
 from agents.evaluation.folder import Evaluation, read_evaluation
 from agents.evaluation.kpis import SCORED_PASSES, displayed_kpis, label_of
-from agents.evaluation.profiles import Description, downloads, inner_policy, traces
+from agents.evaluation.profiles import Description, downloads, inner_policy, short_schedule, traces
 from agents.evaluation.repeat import (
     Case,
     by_policy,
     cases_of,
     is_judged,
-    share_to_repeat,
+    quiet_text,
+    repeat_overview,
     verdict_of,
     verdict_text,
 )
@@ -51,6 +51,7 @@ from agents.policies.planner import InsertionPlanner, InspectionPlanner
 from agents.records.atomic import write_atomically
 from agents.records.drawing import MM
 from probe_env.envs.task import FAILURES, Measure, TaskConfig
+from probe_env.envs.vibration_map import PROFILED, rms_limit
 from probe_env.fidelity import PRESETS, ROUND_TRIP_PRESETS
 
 MEASURES: Final[dict[Measure, tuple[str, float, str]]] = {
@@ -70,8 +71,6 @@ TUBE: Final = {
 ORACLES: Final = frozenset(["Planner", *(kind.__name__ for kind in (Privileged, InsertionPlanner, InspectionPlanner))])
 """Policies that use the true tube parameters, which a rig cannot measure; "Planner" in results before version 0.1.0."""
 SCHEDULES: Final = (Scheduled.__name__, Replayed.__name__)
-BIN: Final = 5.0
-"""Length of a column in the table of the metres to repeat [m]."""
 FEW_TUBES: Final = 10
 """Number of tubes below which a bootstrap interval is rough."""
 MOST_DIAMETERS: Final = 12
@@ -115,6 +114,11 @@ def _content(done: Evaluation, summary: pd.DataFrame) -> dict[str, Any]:
     described = descriptions(done)
     kinds = {name: inner_policy(policy).get("policy") in SCHEDULES for name, policy in described.items()}
     subjects, hours = done.user_policies or (done.against,), bundle_table(table, done.bundle)
+    first = first_page(done)
+    driven, first_described = done.profile[done.profile["policy"] == first.policy], described.get(first.policy, {})
+    note, schedule = short_schedule(first_described, driven)
+    first_picture, *pictures = _pictures(done, summary, driven)
+    others = [name for name in order if name != first.policy]
     comparisons = [compare_with_best(table, policy, oracles, limit_of(task)) for policy in subjects]
     best = [name for name in order if name not in oracles]
     ranked_table, more_figures = ranked(table, summary, done.user_policies, oracles)
@@ -122,21 +126,34 @@ def _content(done: Evaluation, summary: pd.DataFrame) -> dict[str, Any]:
     return {
         "title": "Feed policies compared",
         "done": done,
+        "first": first,
+        "note": note,
+        "schedule": (
+            ["length [m]", "feed [m/s]", "air [m³/h]"],
+            [
+                Row(f"{length:g}", "", (Cell(f"{feed:.3f}"), Cell(f"{3600.0 * air:.0f}")))
+                for length, feed, air in schedule.itertuples(index=False)
+            ],
+        ),
+        "first_picture": first_picture,
         "comparisons": comparisons,
         "own": {name: f"Your {'schedule' if kinds.get(name) else 'policy'}" for name in done.user_policies},
         "facts": _facts(done),
         "ranked": ranked_table,
         "more_figures": more_figures,
         "oracles": [name for name in order if name in oracles],
-        "procedure": procedure(done),
+        "other_verdicts": other_verdicts(done, others),
         "strain_lines": strain_lines(table),
         "comparison_lines": comparison_lines(table, done.against),
         "by_diameter": by_diameter(table, oracles),
         "by_tube": by_tube(table, oracles),
-        "bundle": (BUNDLE_HEADER, [Row(name, "", tuple(map(Cell, texts))) for name, *texts in bundle_rows(hours)]),
+        "other_hours": (
+            BUNDLE_HEADER,
+            [Row(name, "", tuple(map(Cell, texts))) for name, *texts in bundle_rows(hours) if name in others],
+        ),
         "downloads": downloads(described, table, done.profile, task.returns),
         "traces": traces(table, done.profile, visible, _limit_mm(task)),
-        "pictures": _pictures(done, summary),
+        "pictures": pictures,
     }
 
 
@@ -159,6 +176,19 @@ def _facts(done: Evaluation) -> dict[str, str]:
     presets = PRESETS | ROUND_TRIP_PRESETS if task.returns else PRESETS
     stored, measure = done.setting.fidelity, MEASURES[task.vibration_measure][0]
     policies = table["policy"].nunique()
+    instrument, bundle = {}, {}
+    if is_judged(task):
+        assert task.instrument
+        speed, requirement = task.permitted_speed
+        permits = f"permits {speed:.3g} m/s ({requirement}); " if requirement else ""
+        instrument["instrument"] = f"{permits}shortest interval to repeat {task.instrument.repeat_length:g} m"
+    if done.bundle:
+        withdrawal = f" and {done.bundle.withdrawal_time:.3g} s of withdrawal" if done.bundle.withdrawal_time else ""
+        why = "with metres to repeat" if is_judged(task) else "over the vibration limit somewhere, or not complete"
+        bundle["bundle"] = (
+            f"{done.bundle.tubes} tubes; per tube {done.bundle.setup_time:.3g} s of setup{withdrawal} are added; a"
+            f" second pass is another whole insertion, for a tube {why}"
+        )
     return {
         **({"passes": f"in and back; scored is {SCORED_PASSES[task.inspects]}"} if task.returns else {}),
         "limit": f"{measure} of {limit_of(task)} at the sensor, {task.period:g} s at a time",
@@ -166,19 +196,30 @@ def _facts(done: Evaluation) -> dict[str, str]:
         f" {f'the same {len(tubes)} tubes' if len(tubes) > 1 else '1 tube'}",
         "tubes": "; ".join(ranges),
         "probe": "a random one for every tube and seed" if done.setting.probes == "random" else design,
+        **instrument,
+        **bundle,
         "simulated with": next((name for name, v in presets.items() if v.model_dump() == stored), str(stored)),
     }
 
 
-def _pictures(done: Evaluation, summary: pd.DataFrame) -> list[tuple[str, str, str]]:
-    """Title, caption and base64 data of every figure."""
-    tubes, limit, pictures = done.table["context"].nunique(), _limit_mm(done.setting.task), []
+def _pictures(done: Evaluation, summary: pd.DataFrame, driven: pd.DataFrame) -> list[tuple[str, str, str]]:
+    """Title, caption and base64 data of every figure; the first is of the profile ``driven``, of the first page."""
+    task, tubes, pictures = done.setting.task, done.table["context"].nunique(), []
+    limit, vibration = _limit_mm(task), PROFILED.get(task.vibration_measure, "")
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "figure.png")
 
         def draw(title: str, caption: str, function: Callable[..., Path], *data: Any) -> None:
             pictures.append((title, caption, base64.b64encode(function(*data, path).read_bytes()).decode()))
 
+        known = vibration in driven
+        column, bound = (vibration, rms_limit(task)) if known else ("radial_rms_m", None)
+        measure = MEASURES[task.vibration_measure if known else "displacement"][0]
+        several = len(driven.drop_duplicates(["context", "seed", "training_seed"])) > 1
+        many = "; line: mean, band: all insertions" if several else ""
+        caption = f"Highest feed of each metre, and its vibration ({measure}){many}."
+        picture = partial(figures.speed_and_vibration, permitted=task.permitted_speed[0], vibration=column, limit=bound)
+        draw("Speed and vibration", caption, picture, driven)
         intervals, confidence = (" with 95 % intervals", ", 95 % bands over the tubes") if tubes > 1 else ("", "")
         caption = f"Mean over the tubes of each policy{intervals}. Down and left is better."
         draw("Time against vibration", caption, figures.trade_off, summary)
@@ -217,25 +258,80 @@ def verdict_lines(cases: Mapping[str, Sequence[Case]], task: TaskConfig) -> dict
     return {policy: verdict_text(verdict_of(policy, own, task), len(own)) for policy, own in cases.items()}
 
 
-def procedure(done: Evaluation) -> tuple[dict[str, str], Table] | None:
-    """Verdicts by policy, and a table of the metres to repeat; None: no instrument.
-
-    In one tube the table lists the intervals; over several it has the share of insertions for each ``BIN`` of length.
-    """
-    task, rows = done.setting.task, []
+def other_verdicts(done: Evaluation, policies: Collection[str]) -> dict[str, str]:
+    """Policy -> verdict and mean length to repeat of some policies; empty without an instrument."""
+    task = done.setting.task
     if not is_judged(task):
-        return None
-    cases = by_policy(cases_of(done.table, done.profile, task))
-    if all(len(own) == 1 for own in cases.values()):
-        for policy, ((_, intervals),) in cases.items():
-            for begin, end, reason in intervals.itertuples(index=False):
-                rows.append(Row(policy, "", (Cell(f"{begin:.1f}"), Cell(f"{end:.1f}"), Cell(reason))))
-        return verdict_lines(cases, task), (["policy", "from [m]", "to [m]", "reason"], rows)
-    edges = np.arange(0.0, task.scene.tube.helix_length + BIN, BIN)
-    for policy, own in cases.items():
-        shares = share_to_repeat([intervals for _, intervals in own], edges)
-        rows.append(Row(policy, "", tuple(Cell(f"{100.0 * share:.0f}" if share else "-") for share in shares)))
-    return verdict_lines(cases, task), (["policy", *(f"{a:g} to {a + BIN:g} m" for a in edges[:-1])], rows)
+        return {}
+    cases = by_policy(cases_of(done.table[done.table["policy"].isin(policies)], done.profile, task))
+    return {
+        policy: f"{verdict_text(verdict, len(own))}; {verdict.repeat:.1f} m to repeat{_in_the_mean(own)}"
+        for policy, own in cases.items()
+        for verdict in (verdict_of(policy, own, task),)
+    }
+
+
+def _in_the_mean(cases: Sequence[Case]) -> str:
+    return " in the mean" if len(cases) > 1 else ""
+
+
+class FirstPage(NamedTuple):
+    """What the first page of the report, and the app, say of one policy.
+
+    Attributes:
+        policy: its name.
+        verdict: sentences without their subject: allowed or not (with an instrument only), quiet or not.
+        to_repeat: length to repeat; "" without an instrument.
+        repeat: intervals to repeat; no rows without an instrument.
+        hours: quantity -> hours of the bundle; empty without one.
+    """
+
+    policy: str
+    verdict: tuple[str, ...]
+    to_repeat: str
+    repeat: Table
+    hours: dict[str, str]
+
+
+def first_page(done: Evaluation) -> FirstPage:
+    """The first page: of the user's schedule, else of another policy of the user, else of the best without oracles."""
+    task, described, order = done.setting.task, descriptions(done), ranking(done.table)
+    schedules = [
+        name for name in done.user_policies if inner_policy(described.get(name, {})).get("policy") in SCHEDULES
+    ]
+    best = [name for name in order if name not in oracle_policies(done)]
+    policy = next(iter([*schedules, *done.user_policies, *best, *order]))
+    table = done.table[done.table["policy"] == policy]
+    share = by_context(table, policy, "share_within_limit").mean()
+    loud = f"not quiet: vibration within {limit_of(task)} in {short(100.0 * share)} % of the length"
+    quiet = f"quiet: vibration within {limit_of(task)} wherever it was inspected"
+    below = table["share_within_limit"] < table.get("inspected_share", 1.0) - 1e-9
+    sentences, to_repeat = [loud if below.any() else quiet], ""
+    header: list[str] = []
+    rows: list[Row] = []
+    if is_judged(task):
+        (own,) = by_policy(cases_of(table, done.profile, task)).values()
+        judged = verdict_of(policy, own, task)
+        if judged.requirement:
+            sentences.insert(0, verdict_text(judged, len(own)))
+        if task.vibration_measure in PROFILED:
+            sentences[-1] = quiet_text(judged, limit_of(task), len(own))
+        to_repeat = f"{judged.repeat:.1f} m{_in_the_mean(own)}"
+        overview = repeat_overview([intervals for _, intervals in own], task.scene.tube.helix_length)
+        header = ["from [m]", "to [m]", "reason", *["insertions [%]"] * (len(own) > 1)]
+        rows = [
+            Row(f"{begin:.1f}", "", (Cell(f"{end:.1f}"), Cell(reason), Cell(f"{100.0 * share:.0f}"))[: len(header) - 1])
+            for begin, end, reason, share in overview.itertuples(index=False)
+        ]
+    sentences[-1] += _not_complete(table, policy)
+    hours = [texts for _, *texts in bundle_rows(bundle_table(table, done.bundle))]
+    return FirstPage(
+        policy,
+        tuple(sentences),
+        to_repeat,
+        (header, rows),
+        dict(zip(BUNDLE_HEADER[1:], hours[0], strict=True)) if hours else {},
+    )
 
 
 class Comparison(NamedTuple):

@@ -1,5 +1,6 @@
 """Verdicts on the speed and metres to repeat: cases worked by hand, and the pass that repeats them."""
 
+from dataclasses import replace
 from urllib.parse import unquote
 
 import numpy as np
@@ -17,13 +18,15 @@ from agents.evaluation.repeat import (
     intervals_to_repeat,
     is_judged,
     quiet_feeds,
+    quiet_text,
+    repeat_overview,
     repeat_schedule,
     share_to_repeat,
     stretches_of,
     verdict_of,
     verdict_text,
 )
-from agents.evaluation.report import descriptions, procedure
+from agents.evaluation.report import descriptions, first_page, other_verdicts
 from agents.evaluation.run import evaluate_plan, plan_of
 from agents.policies.cases import load_case
 from agents.policies.fixed import Scheduled
@@ -130,6 +133,29 @@ def test_withdrawals_and_constant_lengths_are_not_judged():
     assert [is_judged(CONFIG.model_copy(update=change)) for change in changes] == [True, False, False, True, False]
 
 
+def test_a_sentence_names_eight_intervals_at_most():
+    """Five of every six metres are quiet, from 5 m on: ten loud metres, the last from 59 m on."""
+    verdict, _ = judged(insertion(vibration=lambda metre: np.where((metre - 5.5) % 6 == 0.0, 2e-4, 5e-5)))
+    text = quiet_text(verdict, "0.1 mm")
+    assert text.startswith("not quiet: vibration above 0.1 mm in 10.0 m; at 5.0 to 6.0, 11.0 to 12.0, ")
+    assert text.endswith(", 47.0 to 48.0 m and 2 more")
+
+
+def test_an_overview_has_few_rows():
+    """Exact as long as it fits; ten intervals in 2 m become a bin of 5 m; one every 10 m, bins of 20 m, joined."""
+    columns = [*INTERVAL, "share"]
+    lists = [pd.DataFrame(rows, columns=INTERVAL) for rows in ([(6.0, 10.0, "noise"), (10.0, 12.0, "speed")], [])]
+    rows = [(6.0, 10.0, "noise", 0.5), (10.0, 12.0, "speed", 0.5)]
+    pd.testing.assert_frame_equal(repeat_overview(lists, 60.0), pd.DataFrame(rows, columns=columns))
+    assert repeat_overview(lists[1:], 60.0).empty
+    near = [(6.0 + 0.2 * k, 6.1 + 0.2 * k, "noise") for k in range(10)]
+    bins = repeat_overview([pd.DataFrame(near, columns=INTERVAL)], 60.0)
+    assert bins.to_numpy().tolist() == [[5.0, 10.0, "noise", 1.0]]
+    far = [(10.0 * k + 1.0, 10.0 * k + 2.0, "noise" if k % 2 else "speed") for k in range(10)]
+    bins = repeat_overview([pd.DataFrame(far, columns=INTERVAL)], 97.0)
+    assert bins.to_numpy().tolist() == [[0.0, 97.0, "speed and noise", 1.0]]
+
+
 def test_shares_of_the_insertions():
     lists = [pd.DataFrame(rows, columns=INTERVAL) for rows in ([(6.0, 10.0, "noise")], [(9.0, 11.0, "speed")], [])]
     assert share_to_repeat(lists, np.array([0.0, 5.0, 10.0, 15.0])) == pytest.approx([0.0, 2.0 / 3.0, 1.0 / 3.0])
@@ -227,9 +253,7 @@ def test_evaluate_holds_policies_judges_schedules_and_takes_the_repeated_pass(tu
     lengths = (listed["to_m"] - listed["from_m"]).groupby(listed["policy"]).sum() / 2.0
     assert lengths["mine"] == pytest.approx(table["length_to_repeat_m"].mean()["mine"])
     page = (folder / "report.html").read_text()
-    assert (
-        "<li><b>mine</b>: not allowed: 11.0 m in the mean above 0.25 m/s (test_frequency), by up to 0.15 m/s;" in page
-    )
+    assert "<b>mine</b> is not allowed: 11.0 m in the mean above 0.25 m/s (test_frequency), by up to 0.15 m/s;" in page
 
     plan = plan_of([str(folder / "repeat-mine.csv")], load_case(tube, "test", 2), 1, "surrogate")
     run_plan(plan, tmp_path / "again", progress=False)
@@ -259,10 +283,12 @@ def test_a_report_of_one_tube_lists_the_metres_and_offers_what_was_driven(tmp_pa
     expected = pd.DataFrame([("mine", 0, 0, 5.0, 8.0, "speed")], columns=[*CASE, *INTERVAL])
     pd.testing.assert_frame_equal(pd.read_csv(tmp_path / "repeat.csv"), expected)
     assert [file.name for file in tmp_path.glob("repeat-*.csv")] == ["repeat-mine.csv"]
-    verdicts, (header, rows) = procedure(done)
-    assert list(verdicts) == ["mine", "held"]
-    assert header == ["policy", "from [m]", "to [m]", "reason"]
-    assert [[row.head, *(cell.text for cell in row.cells)] for row in rows] == [["mine", "5.0", "8.0", "speed"]]
+    sensor = "; with its axial vibration (rms) the sensor is above it in 3.0 m"
+    allowed = f"allowed: at most 0.25 m/s (test_frequency) everywhere{sensor}; 0.0 m to repeat"
+    assert other_verdicts(done, ["held"]) == {"held": allowed}
+    header, rows = first_page(replace(done, user_policies=("mine",))).repeat
+    assert header == ["from [m]", "to [m]", "reason"]
+    assert [[row.head, *(cell.text for cell in row.cells)] for row in rows] == [["5.0", "8.0", "speed"]]
     offered = {
         item.policy: unquote(item.address) for item in downloads(descriptions(done), done.table, done.profile)[0]
     }

@@ -138,7 +138,9 @@ def test_the_hours_of_a_bundle_are_printed_stored_and_reported(tmp_path, capsys)
     assert "Hours for 50 tubes" in printed
     assert hours["policy"].tolist() == ["feed 0", "feed 1"]
     np.testing.assert_allclose(hours[["hours", "hours_low", "hours_high"]], 20.0, rtol=1e-4)
-    assert "<h2>Hours for 50 tubes</h2>" in (tmp_path / "report.html").read_text()
+    page = (tmp_path / "report.html").read_text()
+    assert "<h2>Hours for 50 tubes</h2>" in page
+    assert "<h2>Hours for 50 tubes: the other policies</h2>" in page
     (tmp_path / "bundle.csv").unlink()
     assert main(["evaluate", str(tmp_path), "--against", "feed 1"]) == 0
     pd.testing.assert_frame_equal(pd.read_csv(tmp_path / "bundle.csv"), hours)
@@ -188,9 +190,11 @@ def page(tmp_path_factory):
     return (folder / "report.html").read_text()
 
 
-def test_the_page_begins_with_the_verdict(page):
-    first = re.search(r"<p[ >].*?</p>", re.sub(r"<style>.*?</style>", "", page, flags=re.DOTALL), re.DOTALL)[0]
-    assert 'class="headline">Your schedule <b>my schedule</b>: ' in first
+def test_the_page_begins_with_the_verdict_and_goes_on_with_the_comparison(page):
+    heads = re.findall(r'<p class="headline[^>]*>(.*?)</p>', page)
+    assert len(heads) == 2
+    assert heads[0].startswith("Your schedule <b>my schedule</b> is not quiet: vibration within 0.1 mm in ")
+    assert heads[1].startswith("Your schedule <b>my schedule</b>: ")
     ranked, more = re.findall(r'<table class="ranking">.*?</table>', page, re.DOTALL)
     for kpi, (name, _, unit) in KPIS.items():
         head = f"<th>{name} [{unit}]<" if unit else f"<th>{name}<"
@@ -206,7 +210,7 @@ def test_the_page_needs_no_network_and_a_name_cannot_leave_its_place(page):
     parser.handle_starttag = lambda tag, attributes: tags.append((tag, attributes))
     parser.feed(page)
     addresses = [value for _, given in tags for name, value in given if name in ("src", "href", "action")]
-    assert len(addresses) == 6  # three pictures, three schedules
+    assert len(addresses) == 7  # four pictures, three schedules
     assert all(address.startswith("data:") for address in addresses)
     assert [name for name, _ in tags].count("script") == page.count("</script>") == 3
     data = re.search(r'<script type="application/json" id="data">(.*?)</script>', page, re.DOTALL)[1]
@@ -269,6 +273,19 @@ def test_schedules_of_both_ways_have_their_way_back(tmp_path):
         read = Schedule.read_withdrawal(tmp_path / f"{name}.csv")
         np.testing.assert_allclose(read.at(lengths), drawn.at(lengths), rtol=1e-5)
     np.testing.assert_allclose(Schedule.read(tmp_path / "mine.csv").at(lengths), forth.at(lengths), rtol=1e-5)
+
+
+def test_a_long_schedule_is_shown_by_the_rows_that_describe_it():
+    """A step between 30 and 35 m and a corner of the air at 50 m, among 12 rows."""
+    length = np.arange(5.0, 61.0, 5.0)
+    feed, air = np.where(length > 32.0, 0.2, 0.4), np.interp(length, [5.0, 50.0, 60.0], [0.02, 0.02, 0.03])
+    mine = Schedule("inserted_length", "linear", tuple(length), tuple(feed), tuple(air))
+    note, rows = profiles.short_schedule(Scheduled(CONFIG, mine).describe(), pd.DataFrame())
+    assert note == f"{len(rows)} of 12 rows; linear between rows"
+    assert len(rows) <= 8
+    assert {5.0, 30.0, 35.0, 50.0, 60.0} <= set(rows["inserted_length"])
+    for name, values in (("feed_speed", feed), ("air_supply_rate", air)):
+        np.testing.assert_allclose(np.interp(length, rows["inserted_length"], rows[name]), values)
 
 
 def test_oracles_are_no_rivals():

@@ -415,8 +415,8 @@ def test_the_training_file_ppo_gives_the_same_weights_again(tmp_path):
     assert equal_weights(tmp_path / "first", tmp_path / "second")
     weights = load_file(tmp_path / "first" / "seed-0" / BEST)
     means = {
-        "action_net.bias": 0.0051345723, "action_net.weight": 0.010432176, "log_std": 0.0053246887,
-        "mlp_extractor.policy_net.0.bias": 0.0011883397, "mlp_extractor.policy_net.2.bias": 0.00074923009,
-        "mlp_extractor.value_net.0.bias": 0.022127852, "value_net.weight": 0.13789621,
+        "action_net.bias": 0.0058877734, "action_net.weight": 0.010851842, "log_std": 0.012020826,
+        "mlp_extractor.policy_net.0.bias": 0.0013026617, "mlp_extractor.policy_net.2.bias": 0.00080905046,
+        "mlp_extractor.value_net.0.bias": 0.024499539, "value_net.weight": 0.14096211,
     }  # fmt: skip
     assert {name: np.abs(weights[name]).mean() for name in means} == pytest.approx(means, rel=1e-4)

@@ -14,7 +14,10 @@ from agents.app.runs import ACTIVE, Command, Frame, Run
 from agents.app.screens import widgets as ui
 from agents.app.screens.charts import MM, RMS, FlawChart, LengthCharts, SlowMotion, UnrolledProbe
 from agents.app.state import Session
+from agents.evaluation.folder import read_evaluation
 from agents.evaluation.plan import Unit
+from agents.evaluation.repeat import is_judged
+from agents.evaluation.report import first_page
 from agents.policies.catalogue import NAMES
 from agents.records.shipped import shipped_agents, shipped_names
 from probe_env.envs.contexts import SPLIT_SIZES
@@ -91,7 +94,8 @@ class InsertionScreen(RunScreen):
         self.charts = LengthCharts((RMS, "feed_speed", "air_supply_rate"))
         signal = ui.chart("time before now [s]", "sensor [mm]", 150)
         self.signal = signal.line([], [], line_width=1.2, color=ui.GREEN).data_source
-        self.status, self.observation = ui.Text(name="run-status"), ui.Text()
+        self.status, self.verdict, self.observation = ui.Text(name="run-status"), ui.Text(), ui.Text()
+        self._judged: Run | None = None  # run whose end is in ``verdict``
         self._motion: Motion | None = None
         self._unit: Unit | None = None  # episode in the charts
         left = ui.column(self.probe.layout, self.slow_motion.layout, signal, self.flaw.layout)
@@ -120,6 +124,7 @@ class InsertionScreen(RunScreen):
             self.problem,
             ui.row(self.pause, step, look, self.stop, self.pace, self.watch),
             self.status,
+            self.verdict,
             self.pictures,
             ui.Text("<h2>Runs</h2>"),
             self.table,
@@ -132,6 +137,10 @@ class InsertionScreen(RunScreen):
         run = self.session.run
         nothing = "<p class='quiet'>No run yet: press <b>Run</b>.</p>"
         self.status.text = nothing if run is None else _status(run)
+        finished = run if run is not None and run.state == "finished" else None
+        if finished is not self._judged:
+            self._judged, self.verdict.text = finished, ""
+            self.guarded(self._judge)()
         self._list_runs()
         if run is None:
             return
@@ -167,6 +176,24 @@ class InsertionScreen(RunScreen):
         options = {"limit": int(self.limit.value or 1), "fidelity": self.fidelity.value}
         policies, with_schedule = list(self.policies.value), bool(self.with_schedule.active)
         self._show_run(self.session.start(policies, [self.pace_command()], with_schedule, **options))
+
+    def _judge(self) -> None:
+        """Show verdict, metres to repeat and hours as on the first page of the report; unless the tube has neither."""
+        if self._judged is None:
+            return
+        done = read_evaluation(self._judged.request.output)
+        if not done.bundle and not is_judged(done.setting.task):
+            return
+        first = first_page(done)
+        text = f"<p class='big'><b>{escape(first.policy)}</b> is {escape('. It is '.join(first.verdict))}.</p>"
+        if first.to_repeat:
+            header, rows = first.repeat
+            cells = ((row.head, *(cell.text for cell in row.cells)) for row in rows)
+            text += f"<p>Metres to repeat: {first.to_repeat}</p>" + (ui.table_html(header, cells) if rows else "")
+        if done.bundle:
+            hours = "; ".join(f"{name}: {value}" for name, value in first.hours.items())
+            text += f"<p>Hours for {done.bundle.tubes} tubes: {hours}</p>"
+        self.verdict.text = text
 
     def _show_run(self, run: Run) -> None:
         self.session.run = run

@@ -1,0 +1,177 @@
+"""The first page of the report and the app's screen, for insertions made by hand: verdict, metres to repeat, hours."""
+
+import json
+import re
+from html import unescape
+
+import numpy as np
+import pytest
+
+from agents.app.runs import Run, RunRequest
+from agents.app.screens.page import Page
+from agents.app.state import AppState
+from agents.evaluation.folder import ReportSettings, read_evaluation
+from agents.evaluation.plan import Plan, run_plan
+from agents.evaluation.report import first_page, write_report
+from agents.policies.fixed import Constant, Scheduled
+from probe_env import Context, TaskConfig
+from probe_env.envs.plants import Bundle
+from probe_env.fidelity import resolve_fidelity
+from probe_env.schedule import Schedule
+
+CONFIG = TaskConfig(instrument={"test_frequency": 100.0})
+"""Permits 100 Hz / 4 x 20 mm / 2 = 0.25 m/s; the vibration limit is 0.1 mm, the helix ends at 60 m."""
+BUNDLE = Bundle(tubes=60, setup_time=100.0, withdrawal_time=225.0)
+METRE = np.arange(5.5, 60.0)
+QUIET, LOUD = np.full(55, 5e-5), np.where(METRE > 35.0, 1.5e-4, 5e-5)
+SLOW, FAST = np.full(55, 0.2), np.where((METRE > 10.0) & (METRE < 20.0), 0.3, 0.2)
+
+
+class Idle:
+    """A queue without a worker."""
+
+    runs: tuple[()] = ()
+    changes = 0
+
+
+def store(folder, insertions, config=CONFIG, bundle=BUNDLE, policies=None, own=("mine",)):
+    """Store an evaluation and its report; insertions (feed, vibration) of every tube, 275 s each."""
+    schedule = Schedule("inserted_length", "linear", (5.0, 20.0, 60.0), (0.4, 0.2, 0.1), (0.02, 0.02, 0.03))
+    policies = policies or {"mine": Scheduled(config, schedule), "other": Constant(config)}
+    tubes = [Context(helix_diameter=1.0 + 0.1 * k) for k in range(len(insertions))]
+    plan = Plan(policies, tubes, config=config, fidelity=resolve_fidelity("fast"), bundle=bundle)
+
+    def lines(plan, missing):
+        for unit in missing:
+            feed, vibration = insertions[unit[1]]
+            bad = (feed > 0.25) | (vibration > 1e-4)
+            kpis = {
+                "reward": 1.0, "inspection_time_s": 275.0, "share_within_limit": float((vibration < 1e-4).mean()),
+                "inspected_share": 1.0, "radial_rms_m": 5e-5, "complete": 1.0, "lost_drive": 0.0, "diverged": 0.0,
+            }  # fmt: skip
+            columns = {
+                "time": 5.0 * METRE,
+                "inserted_length": METRE,
+                "feed_speed": feed,
+                "air_supply_rate": 0.02 + 0.0 * METRE,
+                "radial_rms_m": vibration,
+                "tension_mean_n": 5.0 + 0.0 * METRE,
+            }
+            if config.instrument:
+                kpis |= {
+                    "length_too_fast_m": float((feed > 0.25).sum()),
+                    "speed_excess_m_per_s": float(max(feed.max() - 0.25, 0.0)),
+                    "length_to_repeat_m": float(bad.sum()),
+                }
+                columns |= {
+                    "highest_feed": feed,
+                    "axial_velocity_rms": np.nan * METRE,
+                    "permitted_speed": 0.25 + 0.0 * METRE,
+                }
+            profile = {name: values.tolist() for name, values in columns.items()}
+            yield (
+                json.dumps({"key": plan.key(unit), "unit": unit, "commit": "", "kpis": kpis, "profile": profile}) + "\n"
+            )
+
+    report = ReportSettings(against="other", own=own, bundle=bundle)
+    run_plan(plan, folder, progress=False, source=lines, report=report)
+    return write_report(folder).read_text()
+
+
+def screen_of(folder, output):
+    """Text of the insertion screen when the run has finished."""
+    page = Page(AppState(Idle(), output))
+    page.session.run = Run(RunRequest(policies=("mine",), output=folder), "running")
+    page.insertion.refresh()
+    assert page.insertion.verdict.text == ""
+    page.session.run.state = "finished"
+    page.insertion.refresh()
+    assert page.insertion.problem.text == ""
+    return page.insertion.verdict.text
+
+
+def texts(html):
+    """Texts between the tags."""
+    return [text for part in re.split(r"<[^>]*>", unescape(html)) if (text := " ".join(part.split()))]
+
+
+def front(report):
+    """The first page of a report."""
+    return re.search(r'<section class="first">.*?<section class="verdict">', report, re.DOTALL)[0]
+
+
+TOO_FAST = "not allowed: 10.0 m above 0.25 m/s (test_frequency), by up to 0.05 m/s; at 10.0 to 20.0 m"
+ALLOWED = "allowed: at most 0.25 m/s (test_frequency) everywhere"
+STILL = "quiet: vibration within 0.1 mm in every metre"
+
+
+@pytest.mark.parametrize(
+    ("insertion", "verdict", "length", "rows", "hours"),
+    [
+        ((FAST, QUIET), f"is {TOO_FAST}. It is {STILL}.", "10.0 m", ["10.0", "20.0", "speed"], ("100", "10")),
+        (
+            (SLOW, LOUD),
+            f"is {ALLOWED}. It is not quiet: vibration above 0.1 mm in 25.0 m; at 35.0 to 60.0 m.",
+            "25.0 m", ["35.0", "60.0", "noise"], ("100", "10"),
+        ),
+        ((SLOW, QUIET), f"is {ALLOWED}. It is {STILL}.", "0.0 m", [], ("0", "0")),
+    ],
+)  # fmt: skip
+def test_too_fast_too_loud_and_good_on_the_page_and_in_the_app(insertion, verdict, length, rows, hours, tmp_path):
+    """275 s of insertion, 100 s of setup and 225 s of withdrawal: 60 tubes take 10 h, and as long again if repeated."""
+    page = texts(front(store(tmp_path / "run", [insertion])))
+    assert page[:3] == ["Your schedule", "mine", verdict]
+    at = page.index(f"Metres to repeat: {length}")
+    head = ["from [m]", "to [m]", "reason"]
+    listed = page[at + 1 : page.index("Hours for 60 tubes")]
+    assert listed == (head + rows if rows else ["No metre to repeat."])
+    at = page.index("first passes [h]")
+    assert page[at : at + 2] == ["first passes [h]", "10"]
+    assert page[at + 3].startswith(hours[0])  # with the interval of one tube of one
+    assert page[at + 4 : at + 6] == ["second passes [h]", hours[1]]
+    assert page[page.index("Feed and air") :][1:14] == [
+        "linear between rows", "length [m]", "feed [m/s]", "air [m³/h]",
+        "5", "0.400", "72", "20", "0.200", "72", "60", "0.100", "108",
+    ]  # fmt: skip
+
+    screen = texts(screen_of(tmp_path / "run", tmp_path))
+    assert screen[:3] == ["mine", verdict, f"Metres to repeat: {length}"]
+    assert screen[3:-1] == (head + rows if rows else [])
+    assert screen[-1].startswith(f"Hours for 60 tubes: first passes [h]: 10; second pass [% of tubes]: {hours[0]}")
+    assert screen[-1].endswith(f"; second passes [h]: {hours[1]}")
+
+
+def test_over_several_tubes_the_list_has_shares(tmp_path):
+    """Two of four tubes are too loud from 35 m on, and one of these too fast from 10 to 20 m."""
+    report = store(tmp_path / "run", [(SLOW, QUIET), (SLOW, LOUD), (FAST, LOUD), (SLOW, QUIET)])
+    page = texts(front(report))
+    assert page[2] == (
+        "is not allowed: 2.5 m in the mean above 0.25 m/s (test_frequency), by up to 0.05 m/s; in some tube at 10.0 to"
+        " 20.0 m. It is not quiet: vibration above 0.1 mm in 12.5 m in the mean; in some tube at 35.0 to 60.0 m."
+    )
+    table = page[page.index("Metres to repeat: 15.0 m in the mean") :][1:13]
+    assert table == ["from [m]", "to [m]", "reason", "insertions [%]",
+                     "10.0", "20.0", "speed", "25", "35.0", "60.0", "noise", "50"]  # fmt: skip
+    assert "<li><b>other</b>: not allowed: 2.5 m in the mean above" in report
+    assert "; 15.0 m to repeat in the mean</li>" in report
+
+
+def test_without_instrument_and_bundle_their_parts_are_left_out(tmp_path):
+    config = CONFIG.model_copy(update={"instrument": None})
+    report = store(tmp_path / "run", [(FAST, LOUD)], config, None)
+    page = texts(front(report))
+    assert page[2] == "is not quiet: vibration within 0.1 mm in 54.5 % of the length."  # 30 of 55 m
+    for text in ("repeat", "Hours", "nstrument"):
+        assert text not in " ".join(page)
+        assert f"{text}: the other" not in report
+    assert screen_of(tmp_path / "run", tmp_path) == ""
+
+
+def test_without_a_file_of_the_user_the_page_is_of_the_best_policy(tmp_path):
+    """A constant has no schedule file: its feed and air are as driven."""
+    page = texts(front(store(tmp_path / "run", [(SLOW, QUIET)], policies={"other": Constant(CONFIG)}, own=())))
+    assert page[:2] == ["Best policy here,", "other"]
+    rows = page[page.index("as driven, mean over the insertions") :][4:]
+    assert rows[:3] == ["5.5", "0.200", "72"]
+    assert rows[21:25] == ["59.5", "0.200", "72", "Metres to repeat: 0.0 m"]
+    assert first_page(read_evaluation(tmp_path / "run")).policy == "other"
