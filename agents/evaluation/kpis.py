@@ -70,9 +70,9 @@ def label_of(failure: str) -> str:
     return failure.replace("_", " ")
 
 
-def kpis_of(columns: Iterable[str], kpis: Kpis = KPIS | OF_INSTRUMENT) -> Kpis:
-    """The KPIs among the columns of a table; for designs with ``OF_DESIGNS``."""
-    names = set(columns)
+def kpis_of(columns: Iterable[str], kpis: Kpis | None = None) -> Kpis:
+    """The KPIs among the columns of a table (default: those of episodes); for designs with ``OF_DESIGNS``."""
+    names, kpis = set(columns), KPIS | OF_INSTRUMENT if kpis is None else kpis
     return {name: label for name, label in kpis.items() if name in names}
 
 
