@@ -130,7 +130,8 @@ def test_at_least_95_percent_of_other_tubes_keep_the_target(tmp_path: Path, caps
     assert (a90 > 20.0).sum() <= hits_within(24, 0.0, 0.05)[1]
     assert f"in {(a90 <= 20.0).sum()} of 24 other tubes" in capsys.readouterr().out
     record = json.loads(output.with_suffix(".json").read_text())
-    assert CLOSE * 20.0 <= record["a90_limit_percent_wall"] <= 20.0
+    assert record["a90_limit_percent_wall"] <= 20.0
     table = read_csv(tmp_path / "my-a90.csv")
-    assert table[table["simulated"]]["time_s"].min() <= record["time_s"]
+    simulated = table[table["simulated"]]
+    assert record["time_s"] == pytest.approx(simulated[simulated["a90_percent_wall"] <= 20.0]["time_s"].min(), rel=1e-4)
     assert Schedule.read(output).position[-1] == 60.0
