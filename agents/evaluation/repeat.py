@@ -283,7 +283,7 @@ def verdict_text(verdict: Verdict, tubes: int = 1) -> str:
     if not verdict.requirement:
         return "no speed limit of the instrument is set"
     limit = f"{verdict.permitted:.3g} m/s ({verdict.requirement})"
-    mean = " in the mean" if tubes > 1 else ""
+    mean = " on average" if tubes > 1 else ""
     sensor = f"; with its axial vibration (rms) the sensor is above it in {verdict.sensor_length:.1f} m{mean}"
     sensor = sensor if verdict.sensor_length > verdict.length else ""
     if verdict.allowed:
@@ -296,7 +296,7 @@ def quiet_text(verdict: Verdict, limit: str, tubes: int = 1) -> str:
     """Whether the vibration is within its limit in every metre, in a sentence; ``limit`` with its unit."""
     if not verdict.loud:
         return f"quiet: vibration within {limit} in every metre"
-    length = f"{verdict.loud_length:.1f} m{' in the mean' if tubes > 1 else ''}"
+    length = f"{verdict.loud_length:.1f} m{' on average' if tubes > 1 else ''}"
     return f"not quiet: vibration above {limit} in {length}; {_where_text(verdict.loud, tubes)}"
 
 

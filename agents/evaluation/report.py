@@ -265,14 +265,14 @@ def other_verdicts(done: Evaluation, policies: Collection[str]) -> dict[str, str
         return {}
     cases = by_policy(cases_of(done.table[done.table["policy"].isin(policies)], done.profile, task))
     return {
-        policy: f"{verdict_text(verdict, len(own))}; {verdict.repeat:.1f} m to repeat{_in_the_mean(own)}"
+        policy: f"{verdict_text(verdict, len(own))}; {verdict.repeat:.1f} m to repeat{_on_average(own)}"
         for policy, own in cases.items()
         for verdict in (verdict_of(policy, own, task),)
     }
 
 
-def _in_the_mean(cases: Sequence[Case]) -> str:
-    return " in the mean" if len(cases) > 1 else ""
+def _on_average(cases: Sequence[Case]) -> str:
+    return " on average" if len(cases) > 1 else ""
 
 
 class FirstPage(NamedTuple):
@@ -316,7 +316,7 @@ def first_page(done: Evaluation) -> FirstPage:
             sentences.insert(0, verdict_text(judged, len(own)))
         if task.vibration_measure in PROFILED:
             sentences[-1] = quiet_text(judged, limit_of(task), len(own))
-        to_repeat = f"{judged.repeat:.1f} m{_in_the_mean(own)}"
+        to_repeat = f"{judged.repeat:.1f} m{_on_average(own)}"
         overview = repeat_overview([intervals for _, intervals in own], task.scene.tube.helix_length)
         header = ["from [m]", "to [m]", "reason", *["insertions [%]"] * (len(own) > 1)]
         rows = [

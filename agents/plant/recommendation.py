@@ -134,7 +134,7 @@ def recommend(
     write_atomically(output, optimum.schedule.to_csv())
     low, high = optimum.interval
     figures = {"expected_reward": optimum.reward, "expected_reward_low": low, "expected_reward_high": high}
-    figures |= {"model_change": MODEL_CHANGE, "least_root_tension_n": optimum.tension}
+    figures |= {"model_change_study_tubes": MODEL_CHANGE, "least_root_tension_n": optimum.tension}
     write_description(output, plant, len(case.contexts), figures)
     named = [f"{NAME}={output}"]
     if law:
@@ -144,8 +144,11 @@ def recommend(
     seconds = np.trapezoid(1.0 / np.array(optimum.schedule.feed_speed), optimum.schedule.position)
     print_line(
         f"{output}: in your tubes about {seconds:.0f} s, expected reward {optimum.reward:.1f}"
-        f" (90 % of {len(case.contexts)} samples: {low:.1f} to {high:.1f}; expanding air and weight:"
-        f" {MODEL_CHANGE:+.1f}); drive safe: root tension above {optimum.tension:.2g} N in {CONFIDENCE:.0%}"
+        f" (90 % of {len(case.contexts)} samples: {low:.1f} to {high:.1f}); drive safe: root tension above"
+        f" {optimum.tension:.2g} N in {CONFIDENCE:.0%}"
+    )
+    print_line(
+        f"not included: expanding air and weight change best-schedule in the study's tubes by {MODEL_CHANGE:+.1f}"
     )
     print_start_air(start_air, case.config)
     if confirmation:

@@ -46,7 +46,7 @@ IN_INFO: Final = (
 )  # fmt: skip
 """Predicted values in ``info``."""
 WAVES: Final = 32
-"""Cosines of a random function."""
+"""Number of cosines of a random field."""
 DRIVE_STEP: Final = 5e-3
 """Time step of the feed and air dynamics [s]: the length error is 0.5 mm for a change of feed by 0.2 m/s."""
 
@@ -62,7 +62,7 @@ class Scatter(NamedTuple):
         return np.asarray(self.correlation * value + self.deviation * np.sqrt(1.0 - self.correlation**2) * normal)
 
 
-class Field(NamedTuple):
+class RandomField(NamedTuple):
     """What the map misses in a tube: a smooth random function of feed, air and length, Gaussian with these scales."""
 
     deviation: float = 0.0
@@ -86,7 +86,7 @@ class Noise(NamedTuple):
     """Scatter of a second of insertion about the map, in decades."""
 
     bias: float = 0.0  # rms of a second relative to that of a metre, which the map predicts
-    field: Field = Field()  # deviation of a tube from the map, which persists while feed and air are kept
+    field: RandomField = RandomField()  # deviation of a tube from the map, which persists while feed and air are kept
     slow: Scatter = Scatter()  # deviation from both, of some seconds
     quick: float = 0.0  # standard deviation of the radial rms from one second to the next
     tension: Scatter = Scatter()  # natural logarithm of the root tension over that of steady sliding
@@ -98,7 +98,7 @@ class Noise(NamedTuple):
 
 MEASURED: Final = Noise(
     bias=-0.0682,
-    field=Field(deviation=0.123, feed=0.244, air=9.73 / 3600.0, length=8.7),
+    field=RandomField(deviation=0.123, feed=0.244, air=9.73 / 3600.0, length=8.7),
     slow=Scatter(0.122, 0.850),
     quick=0.144,
     tension=Scatter(0.08186281974990066, 0.8967350009110485),

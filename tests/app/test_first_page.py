@@ -146,14 +146,14 @@ def test_over_several_tubes_the_list_has_shares(tmp_path):
     report = store(tmp_path / "run", [(SLOW, QUIET), (SLOW, LOUD), (FAST, LOUD), (SLOW, QUIET)])
     page = texts(front(report))
     assert page[2] == (
-        "is not allowed: 2.5 m in the mean above 0.25 m/s (test_frequency), by up to 0.05 m/s; in some tube at 10.0 to"
-        " 20.0 m. It is not quiet: vibration above 0.1 mm in 12.5 m in the mean; in some tube at 35.0 to 60.0 m."
+        "is not allowed: 2.5 m on average above 0.25 m/s (test_frequency), by up to 0.05 m/s; in some tube at 10.0 to"
+        " 20.0 m. It is not quiet: vibration above 0.1 mm in 12.5 m on average; in some tube at 35.0 to 60.0 m."
     )
-    table = page[page.index("Metres to repeat: 15.0 m in the mean") :][1:13]
+    table = page[page.index("Metres to repeat: 15.0 m on average") :][1:13]
     assert table == ["from [m]", "to [m]", "reason", "insertions [%]",
                      "10.0", "20.0", "speed", "25", "35.0", "60.0", "noise", "50"]  # fmt: skip
-    assert "<li><b>other</b>: not allowed: 2.5 m in the mean above" in report
-    assert "; 15.0 m to repeat in the mean</li>" in report
+    assert "<li><b>other</b>: not allowed: 2.5 m on average above" in report
+    assert "; 15.0 m to repeat on average</li>" in report
 
 
 def test_without_instrument_and_bundle_their_parts_are_left_out(tmp_path):
@@ -170,7 +170,8 @@ def test_without_instrument_and_bundle_their_parts_are_left_out(tmp_path):
 def test_without_a_file_of_the_user_the_page_is_of_the_best_policy(tmp_path):
     """A constant has no schedule file: its feed and air are as driven."""
     page = texts(front(store(tmp_path / "run", [(SLOW, QUIET)], policies={"other": Constant(CONFIG)}, own=())))
-    assert page[:2] == ["Best policy here,", "other"]
+    assert page[:2] == ["The best policy,", "other"]
+    assert page[2].startswith(", is allowed: ")
     rows = page[page.index("as driven, mean over the insertions") :][4:]
     assert rows[:3] == ["5.5", "0.200", "72"]
     assert rows[21:25] == ["59.5", "0.200", "72", "Metres to repeat: 0.0 m"]

@@ -13,7 +13,7 @@ from agents.policies.catalogue import named_policies
 from agents.training.config import Training
 from agents.vec_env import ProbeVecEnv
 from probe_env import Context
-from probe_env.envs.surrogate import Field, Noise, Scatter, SurrogateEpisodes
+from probe_env.envs.surrogate import Noise, RandomField, Scatter, SurrogateEpisodes
 from probe_env.envs.task import TaskConfig
 from probe_env.envs.vibration_map import stored_map
 from probe_env.fidelity import PRESETS, Fidelity, resolve_fidelity
@@ -123,7 +123,7 @@ def test_scatter_has_its_deviation_and_correlation():
 
 def test_the_field_has_its_deviation_and_its_correlations_over_feed_air_and_length():
     """Bounds are 4.5 standard errors of 20,000 random functions."""
-    rng, field, count = np.random.default_rng(0), Field(deviation=0.2, feed=0.3, air=0.003, length=10.0), 20_000
+    rng, field, count = np.random.default_rng(0), RandomField(deviation=0.2, feed=0.3, air=0.003, length=10.0), 20_000
     waves = np.array([field.waves(rng) for _ in range(count)])
 
     def values(feed: float, air: float, length: float) -> np.ndarray:

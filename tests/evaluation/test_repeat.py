@@ -253,7 +253,7 @@ def test_evaluate_holds_policies_judges_schedules_and_takes_the_repeated_pass(tu
     lengths = (listed["to_m"] - listed["from_m"]).groupby(listed["policy"]).sum() / 2.0
     assert lengths["mine"] == pytest.approx(table["length_to_repeat_m"].mean()["mine"])
     page = (folder / "report.html").read_text()
-    assert "<b>mine</b> is not allowed: 11.0 m in the mean above 0.25 m/s (test_frequency), by up to 0.15 m/s;" in page
+    assert "<b>mine</b> is not allowed: 11.0 m on average above 0.25 m/s (test_frequency), by up to 0.15 m/s;" in page
 
     plan = plan_of([str(folder / "repeat-mine.csv")], load_case(tube, "test", 2), 1, "surrogate")
     run_plan(plan, tmp_path / "again", progress=False)

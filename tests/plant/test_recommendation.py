@@ -217,8 +217,9 @@ def test_it_is_written_without_a_simulation(tmp_path: Path, capsys: pytest.Captu
     assert not record["calibrated"]
     assert sorted(path.name for path in tmp_path.iterdir()) == ["my.csv", "my.json", "tube.toml"]
     printed = capsys.readouterr().out
-    interval = "90 % of 96 samples: {expected_reward_low:.1f} to {expected_reward_high:.1f};".format(**record)
-    assert f"expected reward {record['expected_reward']:.1f} ({interval} expanding air and weight: -9.4)" in printed
+    interval = "90 % of 96 samples: {expected_reward_low:.1f} to {expected_reward_high:.1f})".format(**record)
+    assert f"expected reward {record['expected_reward']:.1f} ({interval}; drive safe" in printed
+    assert "expanding air and weight change best-schedule in the study's tubes by -9.4" in " ".join(printed.split())
     assert "withdrawal" not in printed
     (tmp_path / "tube.toml").write_text(TUBE + '[task]\npasses = "both"\n')
     assert main(["recommend", *arguments]) == 0
