@@ -29,20 +29,27 @@ def insertions() -> tuple[FloatArray, FloatArray]:
     env = ProbeVecEnv("probe_env/Insertion-v1", PROBES, config, fidelity="fast", contexts="train")
     env.seed(11)
     env.reset()
-    base = np.exp(rng.uniform(np.log(SLOWEST), np.log(FASTEST), PROBES))
-    feed, air, episode = base.copy(), rng.uniform(LEAST, MOST, PROBES), np.arange(PROBES)
+
+    def drawn(count: int | None = PROBES) -> FloatArray:
+        """Random feeds, equally distributed in their logarithm."""
+        return np.asarray(np.exp(rng.uniform(np.log(SLOWEST), np.log(FASTEST), count)))
+
+    base, episode = drawn(), np.arange(PROBES)
+    feed, air = base.copy(), rng.uniform(LEAST, MOST, PROBES)
     times, rows = [], []
     for second in range(SECONDS):
-        near, far, other = (rng.random(PROBES) < 1.0 / seconds for seconds in (6.0, 90.0, 90.0))
+        near = rng.random(PROBES) < 1.0 / 6.0
         feed = np.where(near, np.clip(base * np.exp(rng.normal(0.0, 0.12, PROBES)), 0.05, 0.4), feed)
-        base = np.where(far, np.exp(rng.uniform(np.log(SLOWEST), np.log(FASTEST), PROBES)), base)
-        air = np.where(other, rng.uniform(LEAST, MOST, PROBES), air)
+        base = np.where(rng.random(PROBES) < 1.0 / 90.0, drawn(), base)
+        air = np.where(rng.random(PROBES) < 1.0 / 90.0, rng.uniform(LEAST, MOST, PROBES), air)
         tubes = [[getattr(context, name) for name in CONTEXT] for context in env.episodes.context]
         _, _, ended, infos = env.step(config.actions(feed, air).astype(np.float32))
         for k, info in enumerate(infos):
             times.append((episode[k], second))
             state = (info[name] for name in ("inserted_length", "feed_speed", "air_supply_rate", "radial_rms_m"))
             rows.append((*state, *tubes[k]))
+            if ended[k]:
+                feed[k] = base[k] = drawn(None)
         episode = np.where(ended, episode + PROBES, episode)
     return np.array(times), np.array(rows)
 
