@@ -1,6 +1,6 @@
-"""Trains the README's recipe with five seeds and writes its learning curve: results/learning/NAME.csv.
+"""Trains the README's recipe with five seeds and writes its learning curve: results/learning/NAME/curve.csv.
 
-Usage: python docs/learning.py surrogate|fast [--seeds 0 1 2 3 4] [--steps 50000 200000 1000000]
+Usage: python docs/learning.py surrogate|fast [--seeds 0 1 2 3 4] [--steps 50000 200000 1000000 3000000]
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ def curve(fidelity: str, seeds: tuple[int, ...], steps: tuple[int, ...], folder:
 
 def table() -> str:
     """The README's table of the recipe in the surrogate, from the stored curve."""
-    rows = pd.read_csv(FOLDER / "surrogate.csv")
+    rows = pd.read_csv(FOLDER / "surrogate" / "curve.csv")
     rivals, trained = rows[rows["seed"].isna()].set_index("policy")["reward"], rows[rows["seed"].notna()]
     lines = ["| steps | reward, mean of five seeds | lowest and highest seed |", "|---:|---:|---:|"]
     for steps, seeds in trained.groupby("steps"):
@@ -82,14 +82,14 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("fidelity", choices=("surrogate", "fast"))
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2, 3, 4])
-    parser.add_argument("--steps", type=int, nargs="+", default=[50_000, 200_000, 1_000_000])
+    parser.add_argument("--steps", type=int, nargs="+", default=[50_000, 200_000, 1_000_000, 3_000_000])
     parser.add_argument("--models", type=Path, default=Path("output/learning"), help="folder of the models")
     arguments = parser.parse_args()
     result = curve(arguments.fidelity, tuple(arguments.seeds), tuple(arguments.steps), arguments.models)
-    FOLDER.mkdir(exist_ok=True)
-    name = f"{arguments.fidelity}.csv"
-    result.to_csv(FOLDER / name, index=False, float_format="%.6g")
+    folder = FOLDER / arguments.fidelity
+    folder.mkdir(parents=True, exist_ok=True)
+    result.to_csv(folder / "curve.csv", index=False, float_format="%.6g")
     settings = (f"--{name} {' '.join(map(str, getattr(arguments, name)))}" for name in ("seeds", "steps"))
     command = f"python docs/learning.py {arguments.fidelity} {' '.join(settings)}"
-    write_manifest(FOLDER, (name,), command=command, seeds=tuple(arguments.seeds))
+    write_manifest(folder, ("curve.csv",), command=command, seeds=tuple(arguments.seeds))
     print(result.to_string())
