@@ -60,7 +60,7 @@ test-processors: setup kernels
 # lint, types of the changed files, and the tests of their rooms; BASE is what they are compared with
 BASE ?= HEAD
 CHANGED = $(shell git diff --name-only --diff-filter=d $(BASE) -- '*.py'; git ls-files --others --exclude-standard -- '*.py')
-ROOMS = $(wildcard $(sort $(shell echo $(CHANGED) | tr ' ' '\n' | sed -nE 's#^(probe_env|agents|tests)/([a-z_]+)/.*#tests/\2#p; s#^probe_env/[a-z_]+\.py#tests/settings#p')))
+ROOMS = $(wildcard $(sort $(shell echo $(CHANGED) | tr ' ' '\n' | sed -nE 's#^(probe_env|agents/probe_agents|tests)/([a-z_]+)/.*#tests/\2#p; s#^probe_env/[a-z_]+\.py#tests/settings#p')))
 quick: setup
 	$(BIN)/ruff check .
 	$(BIN)/lint-imports
@@ -114,4 +114,4 @@ docs: setup
 
 clean:
 	rm -rf $(VENV) $(APART:%=.venv-%) $(PYTHONS:%=.venv-%) output
-	find probe_env -name __pycache__ -prune -exec rm -rf {} +
+	find probe_env agents -name __pycache__ -prune -exec rm -rf {} +

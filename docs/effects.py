@@ -14,16 +14,16 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from agents.evaluation.plan import Plan, run_plan
-from agents.plant.calibration import Calibration, calibrate
-from agents.plant.inference import Case
-from agents.plant.recommendation import Optimum, optimal_schedule
-from agents.plant.response import metres_of, stored_response
-from agents.policies.cases import load_case
-from agents.policies.catalogue import named_policies
-from agents.policies.fixed import Scheduled
-from agents.records.manifest import write_json, write_manifest
-from agents.studies.shipped.response import Specimen, insert
+from probe_agents.evaluation.plan import Plan, run_plan
+from probe_agents.plant.calibration import Calibration, calibrate
+from probe_agents.plant.inference import Case
+from probe_agents.plant.recommendation import Optimum, optimal_schedule
+from probe_agents.plant.response import metres_of, stored_response
+from probe_agents.policies.cases import load_case
+from probe_agents.policies.catalogue import named_policies
+from probe_agents.policies.fixed import Scheduled
+from probe_agents.records.manifest import write_json, write_manifest
+from probe_agents.studies.shipped.response import Specimen, insert
 from probe_env import Context, Plant, Scene, SimulatorBatch, TaskConfig
 from probe_env.fidelity import PRESETS
 from probe_env.physics.closed_forms import steady_root_tension

@@ -14,11 +14,11 @@ import pandas as pd
 import torch
 from stable_baselines3 import PPO
 
-from agents.evaluation.plan import Plan, run_plan
-from agents.policies.bundle import from_sb3
-from agents.policies.catalogue import named_policies
-from agents.records.manifest import write_manifest
-from agents.vec_env import ProbeVecEnv
+from probe_agents.evaluation.plan import Plan, run_plan
+from probe_agents.policies.bundle import from_sb3
+from probe_agents.policies.catalogue import named_policies
+from probe_agents.records.manifest import write_manifest
+from probe_agents.vec_env import ProbeVecEnv
 from probe_env import TaskConfig, load_contexts
 from probe_env.fidelity import resolve_fidelity
 

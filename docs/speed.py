@@ -10,7 +10,7 @@ import gymnasium as gym
 import numpy as np
 
 import probe_env
-from agents.records.manifest import write_json, write_manifest
+from probe_agents.records.manifest import write_json, write_manifest
 
 FOLDER = Path(__file__).parents[1] / "results" / "bench"
 CASES = (("fast", 1, 60), ("fast", 16, 60), ("fast", 64, 40), ("surrogate", 64, 300))

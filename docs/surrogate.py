@@ -9,7 +9,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize
 
-from agents.vec_env import ProbeVecEnv
+from probe_agents.vec_env import ProbeVecEnv
 from probe_env import TaskConfig
 from probe_env.arrays import FloatArray
 from probe_env.envs.vibration_map import CONTEXT, stored_map

@@ -1,7 +1,7 @@
 """Feed control and probe design: a fast simulator of a long cable in a helical tube.
 
 Scenes, designs and actions enter; runs, observations, rewards and KPIs leave. Imports no room
-of ``agents`` and no library of agents.
+of ``probe_agents`` and no library of agents.
 
 >>> from probe_env import Scene, Simulator
 >>> run = Simulator(Scene(carrier_length=10.0)).run(duration=0.5)

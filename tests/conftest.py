@@ -52,7 +52,7 @@ def refused(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pyt
     """Run a command that must be refused in one line about a file, and change nothing; gives that line."""
     from poisons import fingerprint
 
-    from agents.cli import main
+    from probe_agents.cli import main
 
     monkeypatch.chdir(tmp_path)
 

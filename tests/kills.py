@@ -14,7 +14,12 @@ from tqdm import tqdm
 # A server that imports once and forks for each piece of work: it has no threads, which a fork would cut off
 SERVER = multiprocessing.get_context("forkserver")
 SERVER.set_forkserver_preload(
-    ["agents.evaluation.report", "agents.training.tuning", "agents.design.compare", "agents.design.search"]
+    [
+        "probe_agents.evaluation.report",
+        "probe_agents.training.tuning",
+        "probe_agents.design.compare",
+        "probe_agents.design.search",
+    ]
 )
 
 

@@ -1,7 +1,7 @@
 """A small plan that tests of evaluations share."""
 
-from agents.evaluation.plan import Plan
-from agents.policies.fixed import Constant
+from probe_agents.evaluation.plan import Plan
+from probe_agents.policies.fixed import Constant
 from probe_env import Fidelity, load_contexts
 from probe_env.envs.task import TaskConfig
 

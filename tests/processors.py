@@ -25,7 +25,7 @@ KINDS = {
 NEEDS = {"haswell": "avx2", "zen 3": "avx2", "skylake-x": "avx512f"}
 """Feature of this machine without which a kind cannot run here."""
 SHIFTS = (1, 2, 3)
-CHOSEN = "from agents.records.manifest import origin; print(origin()['machine']['kernels'])"
+CHOSEN = "from probe_agents.records.manifest import origin; print(origin()['machine']['kernels'])"
 """Says what linear algebra and numba chose: OpenBLAS has no routines for every name, and takes Haswell's for Zen."""
 ROOT = Path(__file__).parents[1]
 

@@ -16,15 +16,15 @@ from bokeh.core.validation import check_integrity
 from bokeh.document import Document
 from bokeh.events import ButtonClick
 
-from agents.app.runs import Frame, Run, RunRequest
-from agents.app.screens.page import PATIENCE, Page
-from agents.app.state import AppState
-from agents.app.worker import row_of, shape_of
-from agents.design.compare import cells, read_comparison, summarise
-from agents.evaluation.plan import Plan, RolloutRunner
-from agents.policies.cases import load_case
-from agents.policies.catalogue import named_policies
-from agents.records.drawing import PALETTE, policy_colours
+from probe_agents.app.runs import Frame, Run, RunRequest
+from probe_agents.app.screens.page import PATIENCE, Page
+from probe_agents.app.state import AppState
+from probe_agents.app.worker import row_of, shape_of
+from probe_agents.design.compare import cells, read_comparison, summarise
+from probe_agents.evaluation.plan import Plan, RolloutRunner
+from probe_agents.policies.cases import load_case
+from probe_agents.policies.catalogue import named_policies
+from probe_agents.records.drawing import PALETTE, policy_colours
 from probe_env import Plant
 from probe_env.fidelity import resolve_fidelity
 from probe_env.schedule import AIR, FEED, Schedule
@@ -118,7 +118,7 @@ def test_charts_around_the_tube_are_drawn_less_often_while_the_probe_moves(app, 
     plan = Plan(named_policies(["constant"], config), case.contexts, config=config, fidelity=resolve_fidelity("fast"))
     runner, page = RolloutRunner(plan, deque(plan.units()), 1, 1), Page(app)
     screen, clock = page.insertion, SimpleNamespace(monotonic=iter((10.0, 10.1, 10.5, 10.55)).__next__)
-    monkeypatch.setattr("agents.app.screens.insertion.time", clock)
+    monkeypatch.setattr("probe_agents.app.screens.insertion.time", clock)
     run = page.session.run = Run(RunRequest(policies=("constant",), output=app.output), "running")
 
     def positions(paused=False):
@@ -142,7 +142,7 @@ def test_all_charts_are_of_the_watched_insertion_when_another_one_ends(app, monk
     plan = Plan(named_policies(names, config), case.contexts, config=config, fidelity=resolve_fidelity("fast"))
     runner, page = RolloutRunner(plan, deque(plan.units()), 2, 1), Page(app)
     screen = page.insertion
-    monkeypatch.setattr("agents.app.screens.insertion.time", SimpleNamespace(monotonic=lambda: 10.0))
+    monkeypatch.setattr("probe_agents.app.screens.insertion.time", SimpleNamespace(monotonic=lambda: 10.0))
     run = page.session.run = Run(RunRequest(policies=tuple(names), output=app.output), "running")
     for k in (0, 1):
         while runner.episodes.running[0] or not runner.last:
@@ -237,7 +237,7 @@ def test_a_log_and_a_schedule_are_read_in_another_process(app, tmp_path, monkeyp
     screen.open.value = str(tmp_path / "bad.csv")
     wait()
     assert "bad.csv: column 'Vorschub [kg]': 'kg' is not a unit of feed_speed" in unescape(screen.problem.text)
-    monkeypatch.setattr("agents.app.screens.schedule.read_schedule", end_process)
+    monkeypatch.setattr("probe_agents.app.screens.schedule.read_schedule", end_process)
     screen.open.value = str(tmp_path / "rig.csv")
     wait()
     assert "the process that read the file was killed" in screen.problem.text

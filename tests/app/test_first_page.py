@@ -7,13 +7,13 @@ from html import unescape
 import numpy as np
 import pytest
 
-from agents.app.runs import Run, RunRequest
-from agents.app.screens.page import Page
-from agents.app.state import AppState
-from agents.evaluation.folder import ReportSettings, read_evaluation
-from agents.evaluation.plan import Plan, run_plan
-from agents.evaluation.report import first_page, write_report
-from agents.policies.fixed import Constant, Scheduled
+from probe_agents.app.runs import Run, RunRequest
+from probe_agents.app.screens.page import Page
+from probe_agents.app.state import AppState
+from probe_agents.evaluation.folder import ReportSettings, read_evaluation
+from probe_agents.evaluation.plan import Plan, run_plan
+from probe_agents.evaluation.report import first_page, write_report
+from probe_agents.policies.fixed import Constant, Scheduled
 from probe_env import Context, TaskConfig
 from probe_env.envs.plants import Bundle
 from probe_env.fidelity import resolve_fidelity

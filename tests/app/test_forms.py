@@ -7,14 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agents.app import schedules
-from agents.app.forms import TubeForm, text_of, tube_fields, value_of
-from agents.app.schedules import AIR, FEED, LENGTH, MISSING
-from agents.cli import main
-from agents.policies.cases import load_case
-from agents.policies.catalogue import DATA
-from agents.records.shipped import file_or_shipped, shipped_names
-from agents.studies.shipped.best_schedules import MapCost
+from probe_agents.app import schedules
+from probe_agents.app.forms import TubeForm, text_of, tube_fields, value_of
+from probe_agents.app.schedules import AIR, FEED, LENGTH, MISSING
+from probe_agents.cli import main
+from probe_agents.policies.cases import load_case
+from probe_agents.policies.catalogue import DATA
+from probe_agents.records.shipped import file_or_shipped, shipped_names
+from probe_agents.studies.shipped.best_schedules import MapCost
 from probe_env import Plant
 from probe_env.envs.task import TaskConfig
 from probe_env.files import FileError

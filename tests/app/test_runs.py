@@ -9,11 +9,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from agents.app.run_store import new_folder, read_request, stored_run, stored_runs
-from agents.app.runs import MANUAL, Command, ProbeShape, RunQueue, RunRequest, flaw_signal
-from agents.evaluation.folder import episodes_of
-from agents.evaluation.run import evaluate_plan, plan_of
-from agents.policies.cases import load_case
+from probe_agents.app.run_store import new_folder, read_request, stored_run, stored_runs
+from probe_agents.app.runs import MANUAL, Command, ProbeShape, RunQueue, RunRequest, flaw_signal
+from probe_agents.evaluation.folder import episodes_of
+from probe_agents.evaluation.run import evaluate_plan, plan_of
+from probe_agents.policies.cases import load_case
 from probe_env.inspection.detection import threshold
 from probe_env.inspection.sensor import GROOVE, Sensor
 from probe_env.inspection.snr import FREQUENCY

@@ -13,10 +13,10 @@ import pytest
 from tornado.httpclient import AsyncHTTPClient, HTTPClientError, HTTPRequest
 from tornado.websocket import websocket_connect
 
-from agents.app.screens.page import Page
-from agents.app.server import make_server
-from agents.app.state import AppState
-from agents.cli import main
+from probe_agents.app.screens.page import Page
+from probe_agents.app.server import make_server
+from probe_agents.app.state import AppState
+from probe_agents.cli import main
 
 TOKEN = "secret"
 SCRIPT = "/static/js/bokeh.min.js"
@@ -160,7 +160,7 @@ def test_reports_are_served_without_rights_and_only_of_folders_that_a_page_has_s
 
 
 def test_the_number_of_pages_is_bounded(server, get, monkeypatch):
-    monkeypatch.setattr("agents.app.server.MOST_PAGES", 1)
+    monkeypatch.setattr("probe_agents.app.server.MOST_PAGES", 1)
     assert [get(path).code for path in ("/", "/", PATHS[2], SCRIPT)] == [200, 503, 503, 200]
     assert len(server.get_sessions("/")) == 1
 
@@ -170,7 +170,7 @@ def test_a_signal_ends_the_idle_server_which_prints_nothing(number, tmp_path, mo
     """Its stdout may have no reader left; the exit status is that of success."""
     closed = []
     queue = SimpleNamespace(runs=(), changes=0, close=lambda: closed.append(True))
-    monkeypatch.setattr("agents.app.server.RunQueue", lambda: queue)
+    monkeypatch.setattr("probe_agents.app.server.RunQueue", lambda: queue)
     kill = threading.Timer(0.3, os.kill, (os.getpid(), number))
     monkeypatch.setattr("webbrowser.open", lambda _: kill.start())
     loop = asyncio.new_event_loop()

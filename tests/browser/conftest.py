@@ -27,7 +27,17 @@ class App:
         self.start()
 
     def start(self) -> None:
-        command = [sys.executable, "-m", "agents.cli", "app", "--port", "0", "--no-show", "--output", str(self.output)]
+        command = [
+            sys.executable,
+            "-m",
+            "probe_agents.cli",
+            "app",
+            "--port",
+            "0",
+            "--no-show",
+            "--output",
+            str(self.output),
+        ]
         command += [] if self.tube is None else ["--tube", str(self.tube)]
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=self.folder)
         line = self.process.stdout.readline()

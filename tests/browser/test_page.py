@@ -11,9 +11,9 @@ import pytest
 from conftest import opened, served
 from PIL import Image
 
-from agents.cli import main
-from agents.evaluation.kpis import kpis_of
-from agents.evaluation.statistics import short
+from probe_agents.cli import main
+from probe_agents.evaluation.kpis import kpis_of
+from probe_agents.evaluation.statistics import short
 
 PLACE = """([chart, source, x, y]) => {
     const document = Bokeh.documents[0];

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from imageio_ffmpeg import count_frames_and_secs
 
-from agents.cli import main
-from agents.studies.builtin import Request
-from agents.studies.shipped.vibration_map import target_of
+from probe_agents.cli import main
+from probe_agents.studies.builtin import Request
+from probe_agents.studies.shipped.vibration_map import target_of
 from probe_env import Scene
 from probe_env.physics.methods import METHODS
 
@@ -47,7 +47,7 @@ def test_simulate_writes_everything(tmp_path, capsys):
 
 
 def test_simulate_runs_every_method_with_its_usual_step(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("agents.evaluation.simulate._draw", lambda *_: None)
+    monkeypatch.setattr("probe_agents.evaluation.simulate._draw", lambda *_: None)
     for method, entry in METHODS.items():
         brief = ["--duration", "0.02", "--scene.carrier-length", "6", "--output", str(tmp_path / method)]
         assert main(["simulate", "fig11_l10", "--method", method, *brief]) == 0
@@ -104,7 +104,7 @@ def test_errors_are_one_line_and_leave_nothing_behind(tmp_path, capsys, monkeypa
 
 
 def test_escapes_in_paths_are_shown_not_sent_to_the_terminal(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("agents.evaluation.simulate._draw", lambda *_: None)
+    monkeypatch.setattr("probe_agents.evaluation.simulate._draw", lambda *_: None)
     scene, output = tmp_path / "\x1b[31mred\n.toml", tmp_path / "\x1b[2J\nout"
     scene.write_text(Path(SCENE).read_text())
     brief = ["--duration", "0.02", "--scene.carrier-length", "6", "--output", str(output)]

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from agents.cli import main
-from agents.cli.extras import EXTRAS, extra_with, modules_of
-from agents.cli.registry import COMMANDS, NEEDS
+from probe_agents.cli import main
+from probe_agents.cli.extras import EXTRAS, extra_with, modules_of
+from probe_agents.cli.registry import COMMANDS, NEEDS
 
 ROOT = Path(__file__).parents[2]
 PARTS = {"pydantic_core": "pydantic", "llvmlite": "numba"}
@@ -22,7 +22,7 @@ def metadata(monkeypatch):
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     optional = project["optional-dependencies"]
     lines = [f"{line}; extra == '{extra}'" for extra, listed in optional.items() for line in listed]
-    monkeypatch.setattr("agents.cli.extras.requires", lambda _: project["dependencies"] + lines)
+    monkeypatch.setattr("probe_agents.cli.extras.requires", lambda _: project["dependencies"] + lines)
 
 
 def imported(package):
@@ -33,7 +33,7 @@ def imported(package):
                 names |= {alias.name.partition(".")[0] for alias in node.names}
             elif isinstance(node, ast.ImportFrom) and not node.level:
                 names.add(node.module.partition(".")[0])
-    return {PARTS.get(name, name) for name in names} - sys.stdlib_module_names - {"probe_env", "agents"}
+    return {PARTS.get(name, name) for name in names} - sys.stdlib_module_names - {"probe_env", "probe_agents"}
 
 
 def test_extras_name_what_is_imported():
@@ -51,7 +51,7 @@ def test_a_missing_module_is_named_with_the_smallest_extra_that_the_command_runs
         def missing(*_, name=module):
             raise ModuleNotFoundError(f"No module named {name!r}", name=name)
 
-        monkeypatch.setattr("agents.cli.parsing.parse", missing)
+        monkeypatch.setattr("probe_agents.cli.parsing.parse", missing)
         assert main([command]) == 2
         package = module.partition(".")[0]
         line = f'{command} needs {package}, which is not installed: pip install "probe-env[{extra}]"'

@@ -11,9 +11,9 @@ import pandas as pd
 import pytest
 from kills import hook_replace, hook_sync
 
-from agents.cli import main
-from agents.evaluation.plan import Plan, run_plan
-from agents.policies.fixed import Constant
+from probe_agents.cli import main
+from probe_agents.evaluation.plan import Plan, run_plan
+from probe_agents.policies.fixed import Constant
 from probe_env import load_contexts
 from probe_env.envs.task import TaskConfig
 
@@ -38,7 +38,7 @@ def last_line(capsys):
     ("number", "jobs"), [(signal.SIGINT, 1), pytest.param(signal.SIGTERM, 2, marks=pytest.mark.slow)]
 )
 def test_an_interrupted_evaluation_says_how_many_are_stored_and_goes_on(number, jobs, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("agents.policies.cases.TaskConfig", lambda: CONFIG)
+    monkeypatch.setattr("probe_agents.policies.cases.TaskConfig", lambda: CONFIG)
     handlers = [signal.getsignal(n) for n in STATUS]
     output = tmp_path / "run"
     arguments = ["evaluate", "constant", "pi", "--limit", "3", "--jobs", str(jobs), "--output", str(output)]
@@ -61,7 +61,7 @@ def test_an_interrupted_evaluation_says_how_many_are_stored_and_goes_on(number, 
 
 def test_an_interrupted_simulation_names_the_files_that_were_written_before(tmp_path, capsys, monkeypatch):
     with monkeypatch.context() as patch:
-        patch.setattr("agents.evaluation.simulate.point_statistics", signalling(signal.SIGINT))
+        patch.setattr("probe_agents.evaluation.simulate.point_statistics", signalling(signal.SIGINT))
         assert main(["simulate", SCENE, *BRIEF, str(tmp_path / "run")]) == 130
     assert last_line(capsys) == "probe-env: interrupted: nothing was stored"
     assert not (tmp_path / "run").exists()
@@ -74,7 +74,7 @@ def test_an_interrupted_simulation_names_the_files_that_were_written_before(tmp_
 
 def command(prelude, *arguments, pipe=""):
     """The command as a process of its own, after a prelude; one that hangs is ended and fails."""
-    code = f"import os, signal, sys\n{prelude}\nfrom agents.cli import main\nsys.exit(main())"
+    code = f"import os, signal, sys\n{prelude}\nfrom probe_agents.cli import main\nsys.exit(main())"
     line = shlex.join([sys.executable, "-c", code, *arguments]) + pipe
     environment = {name: value for name, value in os.environ.items() if name != "OPENBLAS_NUM_THREADS"}
     shell = {"shell": True, "executable": "/bin/bash", "env": environment, "cwd": ROOT, "timeout": 300.0}
@@ -83,11 +83,11 @@ def command(prelude, *arguments, pipe=""):
 
 BACKEND = """
 os.environ["MPLBACKEND"] = "module://of_a_notebook.elsewhere"
-import agents.cli
-agents.cli._run = lambda _: print(__import__("matplotlib").get_backend())
+import probe_agents.cli
+probe_agents.cli._run = lambda _: print(__import__("matplotlib").get_backend())
 """
 IN_IMPORT = """
-import agents.cli
+import probe_agents.cli
 assert not {"numpy", "tyro", "pydantic", "typing_extensions", "probe_env"} & set(sys.modules)
 class Finder:
     def find_spec(self, name, *_):
@@ -96,7 +96,7 @@ class Finder:
 sys.meta_path.insert(0, Finder())
 """
 SWALLOWED_ONCE = """
-import agents.cli
+import probe_agents.cli
 class Finalised:
     def __del__(self):
         os.kill(os.getpid(), signal.SIGINT)
@@ -105,16 +105,16 @@ def work(_):
     Finalised()
     os.kill(os.getpid(), signal.SIGINT)
     print("went on")
-agents.cli._run = work
+probe_agents.cli._run = work
 """
 MANY_LINES = """
-import agents.cli
-agents.cli._run = lambda _: [print(os.environ["OPENBLAS_NUM_THREADS"]) for _ in range(100_000)]
+import probe_agents.cli
+probe_agents.cli._run = lambda _: [print(os.environ["OPENBLAS_NUM_THREADS"]) for _ in range(100_000)]
 """
 
 
 STREAMS_CLOSED = """
-import agents.cli
+import probe_agents.cli
 def work(_):
     from tqdm import tqdm
     numbers = list(tqdm(range(3)))
@@ -122,7 +122,7 @@ def work(_):
     with open(sys.argv[1], "w") as file:  # which has no descriptor of a stream, so nothing else is written into it
         file.write(f"{numbers} {file.fileno() > 2}")
     return 0
-agents.cli._run = work
+probe_agents.cli._run = work
 """
 
 
@@ -154,7 +154,7 @@ def test_ignored_signals_and_threads_that_are_set_stay(monkeypatch):
     """A job under nohup has SIGHUP ignored."""
     monkeypatch.setenv("OPENBLAS_NUM_THREADS", "2")
     monkeypatch.setenv("MPLBACKEND", "agg")  # main sets it; restored after the test
-    monkeypatch.setattr("agents.cli._run", lambda _: os.kill(os.getpid(), signal.SIGHUP) or 7)
+    monkeypatch.setattr("probe_agents.cli._run", lambda _: os.kill(os.getpid(), signal.SIGHUP) or 7)
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:
         assert main() == 7

@@ -6,13 +6,13 @@ Evaluations, searches and trainings have such tests, with real kills, in their o
 import pytest
 from kills import Killed, hook_replace, hook_sync, stop
 
-from agents.design import compare as design
-from agents.design.trials import DesignTrials
-from agents.studies.builtin import Request
-from agents.studies.compare import write_comparison
-from agents.studies.run import expand, run_study
-from agents.studies.shipped import vibration_map
-from agents.studies.spec import Study
+from probe_agents.design import compare as design
+from probe_agents.design.trials import DesignTrials
+from probe_agents.studies.builtin import Request
+from probe_agents.studies.compare import write_comparison
+from probe_agents.studies.run import expand, run_study
+from probe_agents.studies.shipped import vibration_map
+from probe_agents.studies.spec import Study
 from probe_env import Context, Design, load_contexts
 from probe_env.envs.task import TaskConfig
 

@@ -5,12 +5,12 @@ import pandas as pd
 import pytest
 from kills import killed_at
 
-from agents.cli import main
-from agents.design.compare import compare, print_comparison, summarise
-from agents.design.problem import OBJECTIVES, DesignProblem
-from agents.design.search import best_of, search, sensitivity, trials_table
-from agents.design.trials import DesignTrials
-from agents.records.locks import run_lock
+from probe_agents.cli import main
+from probe_agents.design.compare import compare, print_comparison, summarise
+from probe_agents.design.problem import OBJECTIVES, DesignProblem
+from probe_agents.design.search import best_of, search, sensitivity, trials_table
+from probe_agents.design.trials import DesignTrials
+from probe_agents.records.locks import run_lock
 from probe_env import Context, Design, Fidelity
 from probe_env.design import RANGES
 from probe_env.envs.task import TaskConfig
@@ -74,7 +74,7 @@ def test_broken_off_in_any_trial_equals_never_broken_off(tmp_path, whole):
 def test_every_trial_knows_the_commit_that_made_it(tmp_path, monkeypatch):
     """Those of a search that goes on with other code, too."""
     for trials, made_at in ((11, "0123456789ab"), (21, "cdef01234567")):
-        monkeypatch.setattr("agents.design.search.commit", lambda made_at=made_at: made_at)
+        monkeypatch.setattr("probe_agents.design.search.commit", lambda made_at=made_at: made_at)
         table = run(tmp_path, trials)
     assert (table["commit"] == ["0123456789ab"] * 11 + ["cdef01234567"] * 10).all()
 

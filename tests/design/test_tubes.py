@@ -5,9 +5,9 @@ import json
 import pandas as pd
 import pytest
 
-from agents.cli import main
-from agents.design.problem import DesignProblem, design_problem
-from agents.policies.cases import load_case
+from probe_agents.cli import main
+from probe_agents.design.problem import DesignProblem, design_problem
+from probe_agents.policies.cases import load_case
 from probe_env import Design
 
 OWN = """
@@ -114,7 +114,7 @@ def test_a_search_is_among_what_fits_the_plant(tmp_path, capsys, monkeypatch):
 
 def test_a_probe_that_cannot_be_simulated_in_a_tube_is_judged_the_worst_there(tmp_path, monkeypatch):
     """80 m of soft cable under full air of 3.4 times the drag, held by next to no friction: pulled too hard."""
-    monkeypatch.setattr("agents.design.trials.try_sections", lambda *_, **__: pytest.fail("it was simulated"))
+    monkeypatch.setattr("probe_agents.design.trials.try_sections", lambda *_, **__: pytest.fail("it was simulated"))
     smooth = OWN.replace("40.0", "80.0").replace("0.12", "0.02").replace("0.22", "0.03")
     (tmp_path / "smooth.toml").write_text(smooth + "[air]\ndrag_coefficient = 1.5\n")
     problem = design_problem("best-constant", False, load_case(tmp_path / "smooth.toml", "train", 1), "standard")

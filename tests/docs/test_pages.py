@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from agents.cli import main
-from agents.cli.registry import COMMANDS
+from probe_agents.cli import main
+from probe_agents.cli.registry import COMMANDS
 from probe_env.physics.methods import METHODS
 
 ROOT = Path(__file__).parents[2]

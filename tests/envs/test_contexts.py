@@ -4,7 +4,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from agents.vec_env import ProbeVecEnv
+from probe_agents.vec_env import ProbeVecEnv
 from probe_env import Context, load_contexts, spread_contexts
 from probe_env.envs.contexts import SPLIT_SIZES
 

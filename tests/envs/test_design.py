@@ -8,7 +8,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from oracles.scatter import of_another
 
-from agents.policies.fixed import Constant
+from probe_agents.policies.fixed import Constant
 from probe_env import Context, Design, Fidelity, Scene, TaskConfig
 from probe_env.design import RANGES
 from probe_env.envs.design_env import STUDY_FEED, DesignEnv
@@ -225,7 +225,7 @@ def test_the_improved_probe_vibrates_less(seeds):
 @pytest.mark.parametrize("env_id", ["probe_env/Insertion-v1", "probe_env/Snapshot-v1"])
 def test_random_probes_are_sampled_from_the_design_space_by_seed(env_id):
     """Within the ranges, different at every reset, reproducible by seed, and the same in a batch."""
-    from agents.vec_env import ProbeVecEnv
+    from probe_agents.vec_env import ProbeVecEnv
 
     short = {"settle_time": 0.1} if env_id == "probe_env/Insertion-v1" else {}
     env = gym.make(env_id, probes="random", config=short)

@@ -5,8 +5,8 @@ from typing import get_args, get_type_hints
 import gymnasium as gym
 
 import probe_env
-from agents.cli.evaluation import Render
-from agents.vec_env import ENVIRONMENTS, EnvId, ProbeVecEnv
+from probe_agents.cli.evaluation import Render
+from probe_agents.vec_env import ENVIRONMENTS, EnvId, ProbeVecEnv
 from probe_env.fidelity import PRESETS, ROUND_TRIP_PRESETS
 
 INSPECTION, INCREMENTAL = "probe_env/Inspection-v0", "probe_env/IncrementalInsertion-v1"

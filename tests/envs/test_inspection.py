@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from agents.policies.catalogue import make_policy
+from probe_agents.policies.catalogue import make_policy
 from probe_env import Context, TaskConfig
 from probe_env.envs.episodes import Episodes
 from probe_env.envs.episodes.scoring import RoundTripScorer, StepRecord

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
-from agents.evaluation.plan import Plan, run_plan
-from agents.policies.cases import load_case
-from agents.policies.catalogue import named_policies
-from agents.training.config import Training
-from agents.vec_env import ProbeVecEnv
+from probe_agents.evaluation.plan import Plan, run_plan
+from probe_agents.policies.cases import load_case
+from probe_agents.policies.catalogue import named_policies
+from probe_agents.training.config import Training
+from probe_agents.vec_env import ProbeVecEnv
 from probe_env import Context
 from probe_env.envs.surrogate import Noise, RandomField, Scatter, SurrogateEpisodes
 from probe_env.envs.task import TaskConfig

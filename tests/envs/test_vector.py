@@ -7,8 +7,8 @@ from gymnasium.vector import AutoresetMode
 from stable_baselines3 import PPO
 
 import probe_env
-from agents.conformance import check_vector_env
-from agents.vec_env import ProbeVecEnv
+from probe_agents.conformance import check_vector_env
+from probe_agents.vec_env import ProbeVecEnv
 
 CASES = {
     "probe_env/Insertion-v1": {"config": {"period": 0.1, "time_limit": 0.5, "settle_time": 0.1}},

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from plans import make_plan
 
-from agents.evaluation.run import evaluate_plan
+from probe_agents.evaluation.run import evaluate_plan
 
 
 @pytest.fixture(scope="session")

@@ -12,15 +12,15 @@ import pytest
 from kills import killed_at
 from plans import CONFIG, make_plan
 
-from agents.evaluation import evaluate
-from agents.evaluation.folder import episodes_of
-from agents.evaluation.kpis import PROFILE_COLUMNS
-from agents.evaluation.plan import Plan, RolloutRunner, core_seconds, per_metre, run_plan
-from agents.evaluation.run import evaluate_plan, plan_of
-from agents.policies.cases import load_case
-from agents.policies.catalogue import make_policy, named_policies
-from agents.policies.fixed import Constant
-from agents.terminal.work import Work
+from probe_agents.evaluation import evaluate
+from probe_agents.evaluation.folder import episodes_of
+from probe_agents.evaluation.kpis import PROFILE_COLUMNS
+from probe_agents.evaluation.plan import Plan, RolloutRunner, core_seconds, per_metre, run_plan
+from probe_agents.evaluation.run import evaluate_plan, plan_of
+from probe_agents.policies.cases import load_case
+from probe_agents.policies.catalogue import make_policy, named_policies
+from probe_agents.policies.fixed import Constant
+from probe_agents.terminal.work import Work
 from probe_env import Context, Scene, load_contexts
 from probe_env.design import RANGES
 from probe_env.envs.task import TaskConfig
@@ -104,7 +104,7 @@ def test_an_evaluation_that_is_stopped_continues_to_the_same_table(stopped_at, t
     whole = run_plan(make_plan(4, 3), tmp_path / "whole", batch=2, progress=False)
     folder, stored = tmp_path / "stopped", []
     while len(stored) < (3 if stopped_at is interrupted_at else 7):
-        assert stopped_at("agents.evaluation.plan.per_metre", 4, play_here, folder)
+        assert stopped_at("probe_agents.evaluation.plan.per_metre", 4, play_here, folder)
         stored.append(len(episodes_of(folder).read()))
     assert stored == list(range(3, 3 * len(stored) + 1, 3))  # nothing is lost, nothing done twice
     for number in range(1 if len(stored) > 3 else 2, 6):
@@ -119,13 +119,13 @@ def test_a_line_that_was_cut_off_is_played_again(stored, monkeypatch):
     same(run_plan(make_plan(), stored, progress=False), table)
     assert journal.read_bytes() == content
     journal.write_bytes(content[:-1])  # a whole line without its end counts
-    monkeypatch.setattr("agents.evaluation.plan.make_episodes", None)  # playing anything would fail
+    monkeypatch.setattr("probe_agents.evaluation.plan.make_episodes", None)  # playing anything would fail
     same(run_plan(make_plan(), stored, progress=False), table)
     assert journal.read_bytes() == content[:-1]
 
 
 def test_episodes_of_another_setting_version_or_commit_are_refused(stored, monkeypatch):
-    monkeypatch.setattr("agents.evaluation.plan.make_episodes", None)
+    monkeypatch.setattr("probe_agents.evaluation.plan.make_episodes", None)
     assert len(run_plan(make_plan(), stored, progress=False)) == 12  # nothing is done again
     before = {path: path.read_bytes() for path in stored.iterdir()}
     for plan, name in (
@@ -136,7 +136,7 @@ def test_episodes_of_another_setting_version_or_commit_are_refused(stored, monke
             run_plan(plan, stored, progress=False)
     for name, value in (("commit", "0123456789ab+changes"), ("version", "9.9")):
         with monkeypatch.context() as patch:
-            patch.setattr(f"agents.evaluation.plan.{name}", lambda *_, value=value: value)
+            patch.setattr(f"probe_agents.evaluation.plan.{name}", lambda *_, value=value: value)
             with pytest.raises(ValueError, match=rf"other settings \({name} differ; {name} .*, now {value[:3]}"):
                 run_plan(make_plan(), stored, progress=False)
     assert {path: path.read_bytes() for path in stored.iterdir()} == before

@@ -7,11 +7,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from agents.cli import main
-from agents.evaluation.folder import read_evaluation
-from agents.evaluation.plan import Plan, run_plan
-from agents.evaluation.profiles import downloads
-from agents.evaluation.repeat import (
+from probe_agents.cli import main
+from probe_agents.evaluation.folder import read_evaluation
+from probe_agents.evaluation.plan import Plan, run_plan
+from probe_agents.evaluation.profiles import downloads
+from probe_agents.evaluation.repeat import (
     CASE,
     INTERVAL,
     instrument_kpis,
@@ -26,11 +26,11 @@ from agents.evaluation.repeat import (
     verdict_of,
     verdict_text,
 )
-from agents.evaluation.report import descriptions, first_page, other_verdicts
-from agents.evaluation.run import evaluate_plan, plan_of
-from agents.policies.cases import load_case
-from agents.policies.fixed import Scheduled
-from agents.policies.wrappers import SpeedLimited
+from probe_agents.evaluation.report import descriptions, first_page, other_verdicts
+from probe_agents.evaluation.run import evaluate_plan, plan_of
+from probe_agents.policies.cases import load_case
+from probe_agents.policies.fixed import Scheduled
+from probe_agents.policies.wrappers import SpeedLimited
 from probe_env import Context, TaskConfig
 from probe_env.envs.vibration_map import CONTEXT, stored_map
 from probe_env.fidelity import resolve_fidelity

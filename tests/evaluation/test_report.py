@@ -13,18 +13,18 @@ import pandas as pd
 import pytest
 from plans import CONFIG, make_plan
 
-from agents.cli import main
-from agents.evaluation import profiles, report
-from agents.evaluation.folder import UNFINISHED, comparable, read_evaluation
-from agents.evaluation.kpis import CORE, KPIS
-from agents.evaluation.plan import COLUMNS, run_plan
-from agents.evaluation.profiles import downloads
-from agents.evaluation.report import compare_with_best, limit_of, oracle_policies, write_report
-from agents.evaluation.run import evaluate_plan, print_summary
-from agents.evaluation.statistics import grouped, ranking
-from agents.policies.catalogue import named_policies
-from agents.policies.fixed import PI, Constant, Scheduled
-from agents.policies.wrappers import RoundTripPolicy, fastest_withdrawal, insertion_task
+from probe_agents.cli import main
+from probe_agents.evaluation import profiles, report
+from probe_agents.evaluation.folder import UNFINISHED, comparable, read_evaluation
+from probe_agents.evaluation.kpis import CORE, KPIS
+from probe_agents.evaluation.plan import COLUMNS, run_plan
+from probe_agents.evaluation.profiles import downloads
+from probe_agents.evaluation.report import compare_with_best, limit_of, oracle_policies, write_report
+from probe_agents.evaluation.run import evaluate_plan, print_summary
+from probe_agents.evaluation.statistics import grouped, ranking
+from probe_agents.policies.catalogue import named_policies
+from probe_agents.policies.fixed import PI, Constant, Scheduled
+from probe_agents.policies.wrappers import RoundTripPolicy, fastest_withdrawal, insertion_task
 from probe_env.envs.plants import Bundle
 from probe_env.envs.task import TaskConfig
 from probe_env.fidelity import ROUND_TRIP_PRESETS
@@ -112,7 +112,7 @@ def test_the_report_of_an_interrupted_evaluation_says_what_is_missing(tmp_path):
         return {name: np.array([k + 0.5]) for k, name in enumerate(COLUMNS)}
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("agents.evaluation.plan.per_metre", per_metre)
+        patch.setattr("probe_agents.evaluation.plan.per_metre", per_metre)
         with pytest.raises(KeyboardInterrupt):
             evaluate_plan(plan, tmp_path)
     done = read_evaluation(tmp_path)
@@ -149,7 +149,7 @@ def test_the_hours_of_a_bundle_are_printed_stored_and_reported(tmp_path, capsys)
 
 def test_a_stored_evaluation_gets_its_report_again(stored, tmp_path, capsys, monkeypatch):
     """The same one, or compared with another policy; a folder without one is named."""
-    monkeypatch.setattr("agents.evaluation.plan.make_episodes", None)  # playing anything would fail
+    monkeypatch.setattr("probe_agents.evaluation.plan.make_episodes", None)  # playing anything would fail
     before = {name: (stored / name).read_bytes() for name in ("report.html", "summary.csv", "report.json")}
     for name in ("report.html", "summary.csv"):
         (stored / name).unlink()
@@ -171,7 +171,7 @@ def test_tables_of_before_are_not_taken_for_those_of_a_changed_schedule(stored):
     changed = make_plan()
     changed.policies["feed 1"] = Constant(CONFIG, feed_speed=0.35)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("agents.evaluation.plan._lines", lambda *_: iter(()))
+        patch.setattr("probe_agents.evaluation.plan._lines", lambda *_: iter(()))
         with pytest.raises(KeyError):  # as if it had been killed before its first episode
             run_plan(changed, stored, progress=False)
     done = read_evaluation(stored)
@@ -316,7 +316,7 @@ def test_tubes_in_which_nothing_can_begin_are_refused_and_nothing_is_written(tmp
 def test_the_passes_of_a_tube_are_those_of_its_file_unless_options_say_otherwise(tmp_path, monkeypatch, capsys):
     tube, plans = tmp_path / "mine.toml", []
     tube.write_text('[task]\npasses = "both"\ninspects = "back"\ntime_limit = 1000.0\n')
-    monkeypatch.setattr("agents.evaluation.run.evaluate_plan", lambda plan, *rest: plans.append(plan))
+    monkeypatch.setattr("probe_agents.evaluation.run.evaluate_plan", lambda plan, *rest: plans.append(plan))
     options = ["evaluate", "constant", "--limit", "1", "--fidelity", "fast"]
     for more in ([], ["--passes", "in"], ["--inspects", "in"], ["--passes", "both"]):
         assert main([*options, "--tube", str(tube), *more]) == 0
@@ -332,7 +332,7 @@ def test_a_lone_schedule_is_compared_with_the_best_one(tmp_path, monkeypatch, ca
     calls, mine = [], tmp_path / "mine.csv"
     mine.write_text("inserted_length_m,feed_speed_m_per_s,air_supply_m3_per_h\n5,0.2,63\n")
     monkeypatch.setattr(
-        "agents.evaluation.run.evaluate_plan", lambda plan, out, against, *_: calls.append((plan, against))
+        "probe_agents.evaluation.run.evaluate_plan", lambda plan, out, against, *_: calls.append((plan, against))
     )
     options = ["--limit", "1", "--fidelity", "fast"]
     for policies, against in (

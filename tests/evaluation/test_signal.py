@@ -6,8 +6,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from agents.cli import main
-from agents.evaluation.signal import FILTER_SAMPLES, Insertion, by_period, centred_spectra, correlation
+from probe_agents.cli import main
+from probe_agents.evaluation.signal import FILTER_SAMPLES, Insertion, by_period, centred_spectra, correlation
 from probe_env.inspection.channels import (
     SMOOTHING,
     Flaw,

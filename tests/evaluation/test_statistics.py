@@ -9,10 +9,10 @@ import pytest
 from oracles.scatter import hits_within
 from scipy.stats import betabinom, binom
 
-from agents.evaluation import figures
-from agents.evaluation.kpis import CORE, HIGH, KPIS
-from agents.evaluation.signal import draw_curves
-from agents.evaluation.statistics import (
+from probe_agents.evaluation import figures
+from probe_agents.evaluation.kpis import CORE, HIGH, KPIS
+from probe_agents.evaluation.signal import draw_curves
+from probe_agents.evaluation.statistics import (
     Interval,
     bands,
     bundle_hours,

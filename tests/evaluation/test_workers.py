@@ -10,10 +10,10 @@ from pathlib import Path
 import pytest
 from kills import alive
 
-from agents.design.problem import DesignProblem
-from agents.evaluation.plan import Plan, run_plan
-from agents.evaluation.workers import Workers
-from agents.policies.fixed import Constant
+from probe_agents.design.problem import DesignProblem
+from probe_agents.evaluation.plan import Plan, run_plan
+from probe_agents.evaluation.workers import Workers
+from probe_agents.policies.fixed import Constant
 from probe_env import Context, Design, load_contexts
 from probe_env.envs.task import TaskConfig
 

@@ -104,7 +104,8 @@ def record(checkout: Path, folder: Path, names: list[str]) -> None:
 def run(name: str, checkout: Path, folder: Path) -> str:
     """Run a case, write its record and return a line about it."""
     place, environment = folder / name, os.environ | {
-        "PYTHONPATH": str(checkout), "PYTHONHASHSEED": "0", "MPLBACKEND": "Agg", "COLUMNS": "200", "TERM": "dumb",
+        "PYTHONPATH": f"{checkout}{os.pathsep}{checkout / 'agents'}", "PYTHONHASHSEED": "0",
+        "MPLBACKEND": "Agg", "COLUMNS": "200", "TERM": "dumb",
         "NO_COLOR": "1", "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1",
     }  # fmt: skip
     shutil.rmtree(place, ignore_errors=True)
@@ -114,7 +115,8 @@ def run(name: str, checkout: Path, folder: Path) -> str:
     for number, line in enumerate(CASES[name]):
         for alternative in line.split(" || "):
             words = alternative.split()
-            program = [__file__] if words[0] == "steps" else ["-m", "agents.cli"]
+            package = package_of(checkout)
+            program = [__file__] if words[0] == "steps" else ["-m", f"{package}.cli"]
             done = subprocess.run(
                 [sys.executable, *program, *words], cwd=place, env=environment, capture_output=True, text=True
             )
@@ -134,6 +136,11 @@ def run(name: str, checkout: Path, folder: Path) -> str:
             stored[inside] = columns_of(path)
     (folder / f"{name}.json").write_text(json.dumps(stored, indent=1))
     return f"{name}: {time.time() - start:.0f} s" + (f", FAILED: {done.stderr[-300:]}" if done.returncode else "")
+
+
+def package_of(checkout: Path) -> str:
+    """Import package of the commands; ``agents`` was its name before 0.1.0."""
+    return "agents" if (checkout / "agents" / "__init__.py").exists() else "probe_agents"
 
 
 def columns_of(path: Path) -> dict[str, list[str]]:
@@ -224,10 +231,10 @@ def settings_of(words: list[str]) -> dict[str, Any]:
 
 
 def vec_env() -> Any:
-    """`ProbeVecEnv`, wherever the checkout has it."""
+    """`ProbeVecEnv` of the checkout."""
     with contextlib.suppress(ImportError):
-        return __import__("agents.vec_env", fromlist=["ProbeVecEnv"]).ProbeVecEnv
-    return __import__("agents.training.vec_env", fromlist=["ProbeVecEnv"]).ProbeVecEnv
+        return __import__("probe_agents.vec_env", fromlist=["ProbeVecEnv"]).ProbeVecEnv
+    return __import__("agents.vec_env", fromlist=["ProbeVecEnv"]).ProbeVecEnv
 
 
 def plain(value: Any) -> Any:

@@ -25,7 +25,7 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parent))
 from compare import IGNORED_FILES, INPUTS, columns_of, settings_of, steps
 
-from agents.cli import main
+from probe_agents.cli import main
 from probe_env import Simulator
 
 EXPECTED = Path(__file__).parent / "expected.json"

@@ -14,7 +14,7 @@ from packaging.version import Version
 from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
 import probe_env
-from agents.cli import main
+from probe_agents.cli import main
 
 ROOT = Path(__file__).parents[2]
 NEWER = {"torch"}

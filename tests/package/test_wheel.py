@@ -19,8 +19,8 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from agents.cli.extras import EXTRAS, modules_of
-from agents.records.shipped import shipped_agents, shipped_names
+from probe_agents.cli.extras import EXTRAS, modules_of
+from probe_agents.records.shipped import shipped_agents, shipped_names
 from probe_env.kernel_cache import STAMP
 
 pytestmark = pytest.mark.slow
@@ -124,13 +124,14 @@ def test_the_wheel_holds_what_users_name(wheel):
     with zipfile.ZipFile(wheel) as archive:
         names = set(archive.namelist())
         metadata = archive.read(next(name for name in names if name.endswith("METADATA"))).decode()
-    shipped = "agents/shipped"
+    shipped = "probe_agents/shipped"
     agents = shipped_agents().items()
     bundles = {f"{shipped}/agents/{name}/seed-{k}/agent.safetensors" for name, seeds in agents for k in seeds}
     kinds = ("scenes", "design", "train", "studies")
     files = {f"{shipped}/{kind}/{name}.toml" for kind in kinds for name in shipped_names(kind)}
     data = {
-        "probe_env/data/contexts.csv", "probe_env/data/vibration-map.npz", "probe_env/py.typed", "agents/py.typed",
+        "probe_env/data/contexts.csv", "probe_env/data/vibration-map.npz",
+        "probe_env/py.typed", "probe_agents/py.typed",
         *(f"{shipped}/{name}" for name in ("schedules/example.csv", "logs/example-rig.csv", "tubes/example.toml")),
     }  # fmt: skip
     assert (bundles | files | data) - names == set()
@@ -141,7 +142,9 @@ def test_the_wheel_holds_what_users_name(wheel):
 
 
 def test_by_name_in_an_empty_folder(run, python):
-    out, _ = run("python", "-c", "import probe_env, agents; print(probe_env.__file__); print(agents.__file__)")
+    out, _ = run(
+        "python", "-c", "import probe_env, probe_agents; print(probe_env.__file__); print(probe_agents.__file__)"
+    )
     site = python.parents[1]
     assert all(Path(line).is_relative_to(site) for line in out.splitlines())
     assert run("probe-env", "--version")[0] == f"probe-env {version('probe-env')}\n"
@@ -200,7 +203,7 @@ def test_a_plain_install_is_the_simulator_and_the_environments(run, tmp_path):
     code = "import gymnasium, probe_env, sys; gymnasium.make('probe_env/Insertion-v1').reset(seed=0)"
     assert run("python", "-c", f"{code}; print('reset')", PYTHONPATH=hidden)[0] == "reset\n"
     loaded = set(run("python", "-c", f"{code}; print(*sys.modules)")[0].split())
-    assert not loaded & {"agents", "matplotlib", "pandas", *COMMANDS, *BEYOND}
+    assert not loaded & {"probe_agents", "matplotlib", "pandas", *COMMANDS, *BEYOND}
     for arguments, extra in (
         (["simulate", "fig11_l10"], "commands"),
         (["agents"], "commands"),

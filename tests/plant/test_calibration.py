@@ -13,13 +13,21 @@ import pytest
 from oracles.scatter import CHANCE, of_another
 from scipy.stats import chi2, norm
 
-from agents.cli import main
-from agents.plant import inference
-from agents.plant.calibration import read_cases
-from agents.plant.inference import LIMIT, Case, GainLikelihood, Likelihood, fit_gain, fit_sliding, sample_posterior
-from agents.plant.logs import Log
-from agents.plant.prior import DAMPING, DRAG, FRICTION, STIFFNESS, prior_of
-from agents.plant.response import CHANNELS, Metres, metres_of, observed, steady_tension, stored_response
+from probe_agents.cli import main
+from probe_agents.plant import inference
+from probe_agents.plant.calibration import read_cases
+from probe_agents.plant.inference import (
+    LIMIT,
+    Case,
+    GainLikelihood,
+    Likelihood,
+    fit_gain,
+    fit_sliding,
+    sample_posterior,
+)
+from probe_agents.plant.logs import Log
+from probe_agents.plant.prior import DAMPING, DRAG, FRICTION, STIFFNESS, prior_of
+from probe_agents.plant.response import CHANNELS, Metres, metres_of, observed, steady_tension, stored_response
 from probe_env import Plant, Scene
 from probe_env.arrays import FloatArray
 from probe_env.files import FileError

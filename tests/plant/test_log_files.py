@@ -8,9 +8,9 @@ from datetime import datetime, time, timedelta
 
 import pytest
 
-from agents.plant.cleaning import Bounds
-from agents.plant.logs import read_log
-from agents.records.reader import read_schedule
+from probe_agents.plant.cleaning import Bounds
+from probe_agents.plant.logs import read_log
+from probe_agents.records.reader import read_schedule
 from probe_env.files import FileError
 
 HEAD = "time [s];length [m];feed [m/s];air [m3/h]"
@@ -565,13 +565,13 @@ def test_sizes_and_pipes(tmp_path, monkeypatch):
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(FileError, match="a pipe or a device"):
         read_log(tmp_path / "pipe")
-    monkeypatch.setattr("agents.records.workbook.MOST_SHEET_ROWS", 3)
+    monkeypatch.setattr("probe_agents.records.workbook.MOST_SHEET_ROWS", 3)
     many = b"<row></row>" * 10
     for row in (many, many.replace(b"row", b"x:row")):
         path.write_bytes(with_part(b"</sheetData>", row + b"</sheetData>"))
         with pytest.raises(FileError, match=r"sheet2\.xml has more than 3 rows or texts"):
             read_log(path, sheet="Messung")
-    monkeypatch.setattr("agents.records.reader.MOST_BYTES", 100)
+    monkeypatch.setattr("probe_agents.records.reader.MOST_BYTES", 100)
     with pytest.raises(FileError, match="bytes are more than the 100"):
         read_log(path)
 

@@ -11,12 +11,12 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from agents.cli import main
-from agents.plant.cleaning import Bounds
-from agents.plant.logs import read_log
-from agents.policies.catalogue import make_policy
-from agents.records.quantities import QUANTITIES, quantity_of, si_factor, split_head
-from agents.records.shipped import file_or_shipped, shipped_names
+from probe_agents.cli import main
+from probe_agents.plant.cleaning import Bounds
+from probe_agents.plant.logs import read_log
+from probe_agents.policies.catalogue import make_policy
+from probe_agents.records.quantities import QUANTITIES, quantity_of, si_factor, split_head
+from probe_agents.records.shipped import file_or_shipped, shipped_names
 from probe_env import TaskConfig
 from probe_env.schedule import Schedule
 

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from agents.cli import main
-from agents.plant.plc_export import recipe_of
-from agents.plant.recommendation import (
+from probe_agents.cli import main
+from probe_agents.plant.plc_export import recipe_of
+from probe_agents.plant.recommendation import (
     MARGIN,
     cheapest_path,
     expected_costs,
@@ -23,11 +23,11 @@ from agents.plant.recommendation import (
     route_air,
     safe_air,
 )
-from agents.plant.response import Metres, stored_response
-from agents.policies.cases import load_case
-from agents.policies.catalogue import DATA
-from agents.policies.plc_law import PlantData
-from agents.records.tables import read_csv
+from probe_agents.plant.response import Metres, stored_response
+from probe_agents.policies.cases import load_case
+from probe_agents.policies.catalogue import DATA
+from probe_agents.policies.plc_law import PlantData
+from probe_agents.records.tables import read_csv
 from probe_env import Context, Plant
 from probe_env.envs.plants import FeedDevice, Supply, Tubes
 from probe_env.envs.vibration_map import feeds

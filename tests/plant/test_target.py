@@ -13,10 +13,10 @@ from oracles.scatter import hits_within
 from scipy.integrate import quad
 from scipy.stats import norm
 
-from agents.cli import main
-from agents.plant.target import CLOSE, MapSearch, a90_target, find_schedule, upper_limit
-from agents.policies.cases import load_case
-from agents.records.tables import read_csv
+from probe_agents.cli import main
+from probe_agents.plant.target import CLOSE, MapSearch, a90_target, find_schedule, upper_limit
+from probe_agents.policies.cases import load_case
+from probe_agents.records.tables import read_csv
 from probe_env.envs.vibration_map import VibrationMap
 from probe_env.inspection.detection import threshold
 from probe_env.schedule import Schedule

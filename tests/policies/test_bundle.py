@@ -11,11 +11,11 @@ from poisons import Poison
 from safetensors.numpy import save
 from stable_baselines3 import PPO
 
-from agents.policies.bundle import Agent, Description, Network, build_policy, load_bundle, write_bundle
-from agents.policies.catalogue import make_policy
-from agents.policies.trained import read_weights
-from agents.policies.view import View
-from agents.vec_env import ProbeVecEnv
+from probe_agents.policies.bundle import Agent, Description, Network, build_policy, load_bundle, write_bundle
+from probe_agents.policies.catalogue import make_policy
+from probe_agents.policies.trained import read_weights
+from probe_agents.policies.view import View
+from probe_agents.vec_env import ProbeVecEnv
 from probe_env.envs.task import TaskConfig
 from probe_env.envs.task.scales import OBSERVATIONS
 

@@ -6,13 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agents.cli import main
-from agents.evaluation.plan import run_plan
-from agents.evaluation.run import plan_of
-from agents.policies.cases import load_case, map_of, with_probe
-from agents.policies.catalogue import make_policy
-from agents.policies.on_map import LEAST_AIR, best_schedule_for, knots, least_air
-from agents.policies.policy import Domain, OutsideDomain, ranges_of
+from probe_agents.cli import main
+from probe_agents.evaluation.plan import run_plan
+from probe_agents.evaluation.run import plan_of
+from probe_agents.policies.cases import load_case, map_of, with_probe
+from probe_agents.policies.catalogue import make_policy
+from probe_agents.policies.on_map import LEAST_AIR, best_schedule_for, knots, least_air
+from probe_agents.policies.policy import Domain, OutsideDomain, ranges_of
 from probe_env import Context, Plant, Scene
 from probe_env.envs.plants import map_file
 from probe_env.envs.task import TaskConfig

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import torch
 
-from agents.policies.bundle import Agent, Description, Network, build_policy, load_bundle, write_bundle
-from agents.policies.plc_law import Constants, PlcProportional, read_constants
-from agents.policies.view import View
-from agents.training.config import Training
+from probe_agents.policies.bundle import Agent, Description, Network, build_policy, load_bundle, write_bundle
+from probe_agents.policies.plc_law import Constants, PlcProportional, read_constants
+from probe_agents.policies.view import View
+from probe_agents.training.config import Training
 from probe_env.envs.env import InsertionVectorEnv
 from probe_env.envs.task import TaskConfig
 

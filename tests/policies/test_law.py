@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from agents.evaluation.plan import Plan, run_plan
-from agents.plant.recommendation import optimal_law, optimal_schedule
-from agents.plant.response import stored_response
-from agents.policies.catalogue import named_policies
-from agents.policies.law import Law, LawPolicy
+from probe_agents.evaluation.plan import Plan, run_plan
+from probe_agents.plant.recommendation import optimal_law, optimal_schedule
+from probe_agents.plant.response import stored_response
+from probe_agents.policies.catalogue import named_policies
+from probe_agents.policies.law import Law, LawPolicy
 from probe_env import Context, Plant, Scene, TaskConfig
 from probe_env.fidelity import PRESETS
 from probe_env.physics.closed_forms import sliding_tension

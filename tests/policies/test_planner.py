@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from oracles.scatter import of_another
 
-from agents.evaluation.plan import Plan, run_plan
-from agents.policies.catalogue import make_policy
-from agents.policies.on_map import best_schedule_for, knots
-from agents.policies.planner import (
+from probe_agents.evaluation.plan import Plan, run_plan
+from probe_agents.policies.catalogue import make_policy
+from probe_agents.policies.on_map import best_schedule_for, knots
+from probe_agents.policies.planner import (
     BLUR,
     InsertionPlanner,
     InspectionPlanner,

@@ -7,11 +7,11 @@ import warnings
 import numpy as np
 import pytest
 
-from agents.cli import main
-from agents.plant.plc_export import recipe_of, structured_text, table, write_law
-from agents.policies.cases import load_case
-from agents.policies.catalogue import OLD_NAMES, make_policy, name_and_spec
-from agents.policies.plc_law import (
+from probe_agents.cli import main
+from probe_agents.plant.plc_export import recipe_of, structured_text, table, write_law
+from probe_agents.policies.cases import load_case
+from probe_agents.policies.catalogue import OLD_NAMES, make_policy, name_and_spec
+from probe_agents.policies.plc_law import (
     CREDIBLE,
     FRICTION,
     LOWERED,
@@ -28,7 +28,7 @@ from agents.policies.plc_law import (
     read_constants,
     read_trim,
 )
-from agents.policies.policy import OutsideDomain
+from probe_agents.policies.policy import OutsideDomain
 from probe_env import Plant
 from probe_env.envs.plants import Posterior, Supply, Tubes
 from probe_env.envs.task import TaskConfig

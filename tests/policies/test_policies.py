@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agents.policies.catalogue import NAMES, make_policy, name_and_spec, named_policies, user_policies
-from agents.policies.fixed import PI, Constant, OnOff, SlowDown
-from agents.training.config import Training
+from probe_agents.policies.catalogue import NAMES, make_policy, name_and_spec, named_policies, user_policies
+from probe_agents.policies.fixed import PI, Constant, OnOff, SlowDown
+from probe_agents.training.config import Training
 from probe_env.envs.task import TaskConfig
 
 CONFIG = TaskConfig(privileged=True)
@@ -110,7 +110,7 @@ def test_a_schedule_beyond_the_device_is_told(tmp_path):
 
 
 MODULE = """
-from agents.policies.fixed import Constant
+from probe_agents.policies.fixed import Constant
 
 class Mine(Constant):
     def __init__(self, config):

@@ -5,11 +5,11 @@ import numpy as np
 import openpyxl
 import pytest
 
-from agents.plant.logs import read_log
-from agents.policies.catalogue import make_policy
-from agents.policies.fixed import Replayed, Scheduled
-from agents.records.reader import read_withdrawal
-from agents.records.shipped import file_or_shipped
+from probe_agents.plant.logs import read_log
+from probe_agents.policies.catalogue import make_policy
+from probe_agents.policies.fixed import Replayed, Scheduled
+from probe_agents.records.reader import read_withdrawal
+from probe_agents.records.shipped import file_or_shipped
 from probe_env import Context, TaskConfig
 from probe_env.envs.episodes import Episodes
 from probe_env.envs.trials import PolicyBatch

@@ -9,8 +9,8 @@ from sb3_contrib import TQC, RecurrentPPO
 from stable_baselines3 import A2C, PPO, SAC, TD3
 from stable_baselines3.common.vec_env import VecNormalize
 
-from agents.policies.bundle import ACTIVATIONS, from_sb3, load_bundle, save_bundle
-from agents.vec_env import ProbeVecEnv
+from probe_agents.policies.bundle import ACTIVATIONS, from_sb3, load_bundle, save_bundle
+from probe_agents.vec_env import ProbeVecEnv
 from probe_env import Scene, TaskConfig
 
 CONFIG = TaskConfig(growing=False, period=0.05, time_limit=1.0, settle_time=0.05)

@@ -9,8 +9,8 @@ from oracles.scatter import of_another
 from scipy.integrate import quad
 from scipy.stats import norm
 
-from agents.policies.cases import plant_at
-from agents.policies.on_map import (
+from probe_agents.policies.cases import plant_at
+from probe_agents.policies.on_map import (
     Adaptive,
     Privileged,
     best_schedule_for,
@@ -18,10 +18,10 @@ from agents.policies.on_map import (
     grid,
     knots,
 )
-from agents.policies.view import HALF_RANGE, MIDDLE, View
-from agents.studies.builtin import Request
-from agents.studies.shipped.best_schedules import run_search
-from agents.studies.shipped.vibration_map import Wandering, fit_map
+from probe_agents.policies.view import HALF_RANGE, MIDDLE, View
+from probe_agents.studies.builtin import Request
+from probe_agents.studies.shipped.best_schedules import run_search
+from probe_agents.studies.shipped.vibration_map import Wandering, fit_map
 from probe_env import Context, Plant, Scene, load_contexts
 from probe_env.design import RANGES
 from probe_env.envs.task import TaskConfig
@@ -71,7 +71,7 @@ def test_a_known_law_is_found_again(monkeypatch, seeds):
     Of eight other tables and starts 0.0545 +- 0.0008 decades were left, of which the deviation told 0.0548 +- 0.0009,
     and 99.47 +- 0.03 %: but for 1e-4 within 0.008, 0.009 and 0.3 %. (With all epochs 0.0485 to 0.0498 of four.)
     """
-    monkeypatch.setattr("agents.studies.shipped.vibration_map.EPOCHS", 60)
+    monkeypatch.setattr("probe_agents.studies.shipped.vibration_map.EPOCHS", 60)
     seed = seeds(1)[0]
     table, logarithm = synthetic(seed=seed)
     fitted, quality = fit_map(table, seed=seed)

@@ -6,10 +6,10 @@ from collections import deque
 import numpy as np
 import pytest
 
-from agents.evaluation.plan import Plan, RolloutRunner
-from agents.policies.catalogue import domains_of, make_policy, name_and_spec, named_policies, user_policies
-from agents.policies.fixed import Constant
-from agents.policies.wrappers import Shielded, SpeedLimited, fastest_withdrawal
+from probe_agents.evaluation.plan import Plan, RolloutRunner
+from probe_agents.policies.catalogue import domains_of, make_policy, name_and_spec, named_policies, user_policies
+from probe_agents.policies.fixed import Constant
+from probe_agents.policies.wrappers import Shielded, SpeedLimited, fastest_withdrawal
 from probe_env import Context, Plant, Scene, TaskConfig
 from probe_env.envs.task.observations import observe
 from probe_env.fidelity import ROUND_TRIP_PRESETS, resolve_fidelity

@@ -12,12 +12,12 @@ from gymnasium.utils.env_checker import check_env
 from ray.cluster_utils import Cluster
 
 import probe_env
-from agents.design.problem import DesignProblem
-from agents.evaluation.plan import Plan, run_plan
-from agents.evaluation.workers import Workers
-from agents.policies.fixed import Constant
-from agents.training.config import Training
-from agents.training.train import BEST, train_all
+from probe_agents.design.problem import DesignProblem
+from probe_agents.evaluation.plan import Plan, run_plan
+from probe_agents.evaluation.workers import Workers
+from probe_agents.policies.fixed import Constant
+from probe_agents.training.config import Training
+from probe_agents.training.train import BEST, train_all
 from probe_env import Context, Design, Fidelity, load_contexts
 from probe_env.envs.task import TaskConfig
 

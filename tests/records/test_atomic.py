@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from agents.records.atomic import write_atomically
+from probe_agents.records.atomic import write_atomically
 
 
 def test_what_a_dead_process_left_of_the_same_file_is_removed(tmp_path):

@@ -15,15 +15,23 @@ from plans import make_plan
 from poisons import ANYWHERE, FAST, JSON, failures_of
 from safetensors.numpy import load, save
 
-from agents.evaluation.folder import PROFILE, Episode, Manifest, ReportSettings, Setting, Unfinished, read_episodes
-from agents.evaluation.kpis import CORE
-from agents.evaluation.run import evaluate_plan
-from agents.policies.bundle import Description, Network, _hash, build_policy, load_bundle, write_bundle
-from agents.policies.trained import read_weights
-from agents.policies.view import View
-from agents.records.models import Journal, read_json
-from agents.records.searches import open_study
-from agents.records.tables import read_csv, read_parquet
+from probe_agents.evaluation.folder import (
+    PROFILE,
+    Episode,
+    Manifest,
+    ReportSettings,
+    Setting,
+    Unfinished,
+    read_episodes,
+)
+from probe_agents.evaluation.kpis import CORE
+from probe_agents.evaluation.run import evaluate_plan
+from probe_agents.policies.bundle import Description, Network, _hash, build_policy, load_bundle, write_bundle
+from probe_agents.policies.trained import read_weights
+from probe_agents.policies.view import View
+from probe_agents.records.models import Journal, read_json
+from probe_agents.records.searches import open_study
+from probe_agents.records.tables import read_csv, read_parquet
 from probe_env import Scene
 from probe_env.envs.task import TaskConfig
 from probe_env.envs.task.scales import OBSERVATIONS
@@ -150,7 +158,7 @@ def test_parquet_tables(stored, monkeypatch):
     for name, read in (("episodes", read_episodes), ("profile", lambda path: read_parquet(path, PROFILE))):
         read(stored / f"{name}.parquet")
         assert failures_of(stored / f"{name}.parquet", TABLES, read) == [], name
-    monkeypatch.setattr("agents.records.tables.MAX_ROWS", 3)
+    monkeypatch.setattr("probe_agents.records.tables.MAX_ROWS", 3)
     with pytest.raises(FileError, match=r"episodes\.parquet: 4 rows; accepted: 1 to 3"):
         read_episodes(stored / "episodes.parquet")
 

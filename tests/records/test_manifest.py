@@ -1,6 +1,6 @@
 """What a manifest stores of the command."""
 
-from agents.records.manifest import origin
+from probe_agents.records.manifest import origin
 
 
 def test_a_password_in_an_address_is_not_stored():

@@ -6,14 +6,14 @@ from pathlib import Path
 from plans import CONFIG, make_plan
 from poisons import FAST
 
-from agents.cli import main
-from agents.evaluation.plan import run_plan
-from agents.evaluation.report import write_report
-from agents.evaluation.statistics import grouped
-from agents.policies.catalogue import name_and_spec, named_policies
-from agents.policies.fixed import Constant
-from agents.records.tables import read_csv
-from agents.terminal.tables import print_table
+from probe_agents.cli import main
+from probe_agents.evaluation.plan import run_plan
+from probe_agents.evaluation.report import write_report
+from probe_agents.evaluation.statistics import grouped
+from probe_agents.policies.catalogue import name_and_spec, named_policies
+from probe_agents.policies.fixed import Constant
+from probe_agents.records.tables import read_csv
+from probe_agents.terminal.tables import print_table
 from probe_env.envs.task import TaskConfig
 
 HEAD = "inserted_length_m,feed_speed_m_per_s,air_supply_m3_per_h\n"

@@ -10,15 +10,15 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from agents.evaluation.folder import EPISODES, EPISODES_NEWER, Episode, read_episodes
-from agents.evaluation.kpis import CORE, KPIS, displayed_kpis
-from agents.records import manifest
-from agents.records.atomic import write_atomically
-from agents.records.manifest import write_json, write_manifest
-from agents.records.models import Journal, complete
-from agents.records.searches import open_study
-from agents.records.tables import read_csv
-from agents.terminal.errors import format_error
+from probe_agents.evaluation.folder import EPISODES, EPISODES_NEWER, Episode, read_episodes
+from probe_agents.evaluation.kpis import CORE, KPIS, displayed_kpis
+from probe_agents.records import manifest
+from probe_agents.records.atomic import write_atomically
+from probe_agents.records.manifest import write_json, write_manifest
+from probe_agents.records.models import Journal, complete
+from probe_agents.records.searches import open_study
+from probe_agents.records.tables import read_csv
+from probe_agents.terminal.errors import format_error
 from probe_env.files import FileError, one_line, read_bytes, read_text
 
 ROOT = Path(__file__).parents[2]

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from agents.policies.catalogue import NAMES
-from agents.records import shipped
-from agents.records.shipped import file_or_shipped, policy_file, shipped_agents, shipped_names
+from probe_agents.policies.catalogue import NAMES
+from probe_agents.records import shipped
+from probe_agents.records.shipped import file_or_shipped, policy_file, shipped_agents, shipped_names
 
 ROOT = Path(__file__).parents[2]
 
@@ -15,7 +15,7 @@ ROOT = Path(__file__).parents[2]
 @pytest.fixture
 def installed(tmp_path, monkeypatch):
     """The folder of a package as it is installed, with little in it."""
-    package = tmp_path / "site" / "agents"
+    package = tmp_path / "site" / "agents" / "probe_agents"
     for source, target in (
         ("results/agents/ppo/seed-0/agent.safetensors", "agents/ppo/seed-0/agent.safetensors"),
         ("results/agents/ppo/seed-3/agent.safetensors", "agents/ppo/seed-3/agent.safetensors"),

@@ -3,8 +3,8 @@
 import pandas as pd
 import pytest
 
-from agents.records import store as module
-from agents.records.store import Store, stored_rows
+from probe_agents.records import store as module
+from probe_agents.records.store import Store, stored_rows
 
 
 @pytest.fixture

@@ -4,8 +4,8 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from agents.evaluation.run import plan_of
-from agents.policies.cases import load_case
+from probe_agents.evaluation.run import plan_of
+from probe_agents.policies.cases import load_case
 from probe_env import Fidelity, Plant, Scene
 from probe_env.envs.episodes import Episodes
 from probe_env.fidelity import PRESETS, resolve_fidelity

@@ -10,12 +10,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from agents.plant.recommendation import safe_air
-from agents.policies.cases import load_case
-from agents.policies.catalogue import make_policy
-from agents.studies.builtin import Request
-from agents.studies.shipped import best_round_trip as searched
-from agents.studies.shipped.best_round_trip import COLUMNS, NAME, ranges, rounded_numbers, run, starts
+from probe_agents.plant.recommendation import safe_air
+from probe_agents.policies.cases import load_case
+from probe_agents.policies.catalogue import make_policy
+from probe_agents.studies.builtin import Request
+from probe_agents.studies.shipped import best_round_trip as searched
+from probe_agents.studies.shipped.best_round_trip import COLUMNS, NAME, ranges, rounded_numbers, run, starts
 from probe_env import Plant
 from probe_env.envs.plants import FeedDevice, Supply, Tubes
 from probe_env.inspection.metrics import POD_NAMES

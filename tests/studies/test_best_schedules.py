@@ -6,11 +6,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from agents.policies.catalogue import BY_DIAMETER, DATA, make_policy
-from agents.records.manifest import commit
-from agents.studies.builtin import Request
-from agents.studies.shipped import best_schedules as optimise
-from agents.studies.shipped.best_schedules import AIR_KNOTS, FAMILIES, KNOTS, MapCost, run_search
+from probe_agents.policies.catalogue import BY_DIAMETER, DATA, make_policy
+from probe_agents.records.manifest import commit
+from probe_agents.studies.builtin import Request
+from probe_agents.studies.shipped import best_schedules as optimise
+from probe_agents.studies.shipped.best_schedules import AIR_KNOTS, FAMILIES, KNOTS, MapCost, run_search
 from probe_env.envs.contexts import HELIX_DIAMETERS
 from probe_env.envs.task import TaskConfig
 from probe_env.envs.vibration_map import stored_map

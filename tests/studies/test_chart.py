@@ -9,11 +9,11 @@ from oracles.chains import bent, matrices, plain_chain
 from oracles.scatter import CHANCE, reach
 from scipy.linalg import expm
 
-from agents.records.store import Store, stored_rows
-from agents.studies.builtin import Request
-from agents.studies.chart import draw_chart, ensembles, errors, run, smooth
-from agents.studies.chart.ensembles import INSERTIONS, SEGMENT, SETTINGS, Setting
-from agents.studies.chart.smooth import orders, resolved
+from probe_agents.records.store import Store, stored_rows
+from probe_agents.studies.builtin import Request
+from probe_agents.studies.chart import draw_chart, ensembles, errors, run, smooth
+from probe_agents.studies.chart.ensembles import INSERTIONS, SEGMENT, SETTINGS, Setting
+from probe_agents.studies.chart.smooth import orders, resolved
 from probe_env.files import FileError
 from probe_env.physics import closed_forms
 
@@ -168,7 +168,7 @@ def test_a_known_bias_of_time_lapse_is_found():
 
 def test_stored_tables_are_read_before_anything_is_run(tmp_path, monkeypatch):
     for function in ("Store", "run_smooth", "errors.run_costs"):
-        monkeypatch.setattr(f"agents.studies.chart.{function}", lambda *_: pytest.fail("something was run"))
+        monkeypatch.setattr(f"probe_agents.studies.chart.{function}", lambda *_: pytest.fail("something was run"))
     for name in ("ensembles", "costs"):
         folder = tmp_path / name
         folder.mkdir()

@@ -9,10 +9,10 @@ import pytest
 from oracles.scatter import CHANCE, reach
 from scipy.signal import get_window
 
-from agents.records.store import stored_rows
-from agents.studies.builtin import Request
-from agents.studies.claims import cases, claims_of, run
-from agents.studies.claims.cases import (
+from probe_agents.records.store import stored_rows
+from probe_agents.studies.builtin import Request
+from probe_agents.studies.claims import cases, claims_of, run
+from probe_agents.studies.claims.cases import (
     CASES,
     INSERTED,
     SUBSET,
@@ -119,7 +119,7 @@ def test_a_short_trip_slides_as_the_closed_form_and_is_repeated(withdrawn):
 
 
 def test_runs_are_stored_and_not_repeated(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("agents.studies.claims.SUBSET", ("l10", "original-l10-u200-in"))
+    monkeypatch.setattr("probe_agents.studies.claims.SUBSET", ("l10", "original-l10-u200-in"))
     monkeypatch.setattr(cases, "DURATION", 0.5)
     run(Request(tmp_path, limit=1))
     first = stored_rows(tmp_path / "ensemble.csv")

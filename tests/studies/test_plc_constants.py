@@ -8,13 +8,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from agents.policies.catalogue import make_policy
-from agents.policies.plc_law import PlcProportional, Trim, read_constants, read_trim
-from agents.records.manifest import commit
-from agents.studies.builtin import Request
-from agents.studies.shipped import plc_constants as search
-from agents.studies.shipped.best_schedules import MapCost
-from agents.studies.shipped.plc_constants import (
+from probe_agents.policies.catalogue import make_policy
+from probe_agents.policies.plc_law import PlcProportional, Trim, read_constants, read_trim
+from probe_agents.records.manifest import commit
+from probe_agents.studies.builtin import Request
+from probe_agents.studies.shipped import plc_constants as search
+from probe_agents.studies.shipped.best_schedules import MapCost
+from probe_agents.studies.shipped.plc_constants import (
     AIMS,
     TIMES,
     UNTRIMMED,

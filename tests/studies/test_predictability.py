@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agents.records.store import stored_rows
-from agents.studies.predictability import CHECKED, CHECKS, FRICTIONS, SETTINGS, Setting, growth
+from probe_agents.records.store import stored_rows
+from probe_agents.studies.predictability import CHECKED, CHECKS, FRICTIONS, SETTINGS, Setting, growth
 from probe_env.physics.closed_forms.bare_chains import AXIAL, DrivenChain, plain_chain, run_chain
 from probe_env.physics.model.state import at_rest
 

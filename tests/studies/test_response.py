@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agents.plant.response import Response
-from agents.studies.builtin import Request
-from agents.studies.shipped import response
+from probe_agents.plant.response import Response
+from probe_agents.studies.builtin import Request
+from probe_agents.studies.shipped import response
 
 SIZE = 4
 

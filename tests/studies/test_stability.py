@@ -9,10 +9,19 @@ import pandas as pd
 import pytest
 from oracles.scatter import CHANCE, reach
 
-from agents.evaluation.workers import Workers
-from agents.studies import stability
-from agents.studies.builtin import Request
-from agents.studies.stability import ENERGY_STEPS, amplification, bounce, by_step, cells, classify, run_cell, run_energy
+from probe_agents.evaluation.workers import Workers
+from probe_agents.studies import stability
+from probe_agents.studies.builtin import Request
+from probe_agents.studies.stability import (
+    ENERGY_STEPS,
+    amplification,
+    bounce,
+    by_step,
+    cells,
+    classify,
+    run_cell,
+    run_energy,
+)
 
 FOLDER = Path(__file__).parents[2] / "results" / "stability"
 MAP = pd.read_csv(FOLDER / "map.csv")

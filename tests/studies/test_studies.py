@@ -10,18 +10,18 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from agents.cli import main
-from agents.evaluation import plan as plans
-from agents.evaluation.statistics import paired_difference
-from agents.policies.cases import with_probe
-from agents.policies.catalogue import named_policies
-from agents.policies.fixed import PI, Constant
-from agents.records.shipped import shipped_folder, shipped_names
-from agents.studies import run as runs
-from agents.studies.builtin import BUILT_IN
-from agents.studies.compare import _cell, baselines, compare, key_columns
-from agents.studies.run import Setting, expand
-from agents.studies.spec import Study
+from probe_agents.cli import main
+from probe_agents.evaluation import plan as plans
+from probe_agents.evaluation.statistics import paired_difference
+from probe_agents.policies.cases import with_probe
+from probe_agents.policies.catalogue import named_policies
+from probe_agents.policies.fixed import PI, Constant
+from probe_agents.records.shipped import shipped_folder, shipped_names
+from probe_agents.studies import run as runs
+from probe_agents.studies.builtin import BUILT_IN
+from probe_agents.studies.compare import _cell, baselines, compare, key_columns
+from probe_agents.studies.run import Setting, expand
+from probe_agents.studies.spec import Study
 from probe_env import load_contexts
 from probe_env.envs.task import TaskConfig
 from probe_env.fidelity import PRESETS

@@ -6,11 +6,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from agents.cli import main
-from agents.policies.cases import load_case, map_file
-from agents.studies.builtin import Request
-from agents.studies.shipped import vibration_map as maker
-from agents.studies.shipped.vibration_map import SEGMENT, SMEARED, fit_map
+from probe_agents.cli import main
+from probe_agents.policies.cases import load_case, map_file
+from probe_agents.studies.builtin import Request
+from probe_agents.studies.shipped import vibration_map as maker
+from probe_agents.studies.shipped.vibration_map import SEGMENT, SMEARED, fit_map
 from probe_env import Plant, Scene
 from probe_env.envs.vibration_map import VibrationMap, stored_map
 from probe_env.schedule import Schedule

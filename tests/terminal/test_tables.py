@@ -2,7 +2,7 @@
 
 from rich.cells import cell_len
 
-from agents.terminal.tables import print_table
+from probe_agents.terminal.tables import print_table
 
 HEADER = ["policy", "reward", "inspection time [s]", "length within the limit [%]", "radial acceleration rms [m/s2]"]
 ROWS = [

@@ -16,19 +16,19 @@ from kills import Killed, hook_replace, killed_at, stop
 from poisons import ANYWHERE, JSON, Poison
 from safetensors.numpy import load_file
 
-from agents.cli import main
-from agents.evaluation.plan import Plan, run_plan
-from agents.policies.bundle import Agent, Description, Network, build_policy, load_bundle, write_bundle
-from agents.policies.cases import plant_at
-from agents.policies.catalogue import make_policy
-from agents.policies.fixed import Constant
-from agents.policies.view import View
-from agents.policies.wrappers import RoundTripPolicy
-from agents.records.locks import run_lock
-from agents.records.shipped import file_or_shipped
-from agents.training import train as training_module
-from agents.training.config import Training
-from agents.training.train import BEST, CHECKPOINT, CURVE, RUN, VALIDATED, train_all
+from probe_agents.cli import main
+from probe_agents.evaluation.plan import Plan, run_plan
+from probe_agents.policies.bundle import Agent, Description, Network, build_policy, load_bundle, write_bundle
+from probe_agents.policies.cases import plant_at
+from probe_agents.policies.catalogue import make_policy
+from probe_agents.policies.fixed import Constant
+from probe_agents.policies.view import View
+from probe_agents.policies.wrappers import RoundTripPolicy
+from probe_agents.records.locks import run_lock
+from probe_agents.records.shipped import file_or_shipped
+from probe_agents.training import train as training_module
+from probe_agents.training.config import Training
+from probe_agents.training.train import BEST, CHECKPOINT, CURVE, RUN, VALIDATED, train_all
 from probe_env import Fidelity, load_contexts
 from probe_env.design import RANGES
 from probe_env.envs.task import TaskConfig
@@ -89,7 +89,7 @@ def run(trained, tmp_path):
 def validations(monkeypatch):
     """Plans of validations, none of which is played."""
     plans, table = [], pd.DataFrame({name: [1.0] for name in ("reward", *VALIDATED)})
-    monkeypatch.setattr("agents.training.train.run_plan", lambda plan, *_, **__: plans.append(plan) or table)
+    monkeypatch.setattr("probe_agents.training.train.run_plan", lambda plan, *_, **__: plans.append(plan) or table)
     return plans
 
 
@@ -127,7 +127,7 @@ def _train(folder, resume):
 def test_stopped_before_any_file_is_in_its_place_and_killed_it_goes_on(tmp_path, monkeypatch):
     """A run's files: run.json, then of each phase the agent, if it is the best so far, checkpoint and curve."""
     _train(tmp_path / "whole", False)
-    assert killed_at("agents.training.train.save_checkpoint", 2, _train, tmp_path / "killed", False)
+    assert killed_at("probe_agents.training.train.save_checkpoint", 2, _train, tmp_path / "killed", False)
     _train(tmp_path / "killed", True)
     assert equal_weights(tmp_path / "whole", tmp_path / "killed")
     for name, number in ((RUN, 1), (BEST, 1), (CHECKPOINT, 1), (CURVE, 1), (CHECKPOINT, 2), (CURVE, 2)):

@@ -10,14 +10,14 @@ import pandas as pd
 import pytest
 from kills import killed_at
 
-from agents.cli import main
-from agents.policies.bundle import ALGORITHMS
-from agents.records.locks import run_lock
-from agents.records.shipped import file_or_shipped
-from agents.training import tuning as module
-from agents.training.config import LIMITS, ROLLOUT, USUAL, Range, Training, axes_of
-from agents.training.train import CHECKPOINT, RUN
-from agents.training.tuning import STARTUP_TRIALS, Tuning, search
+from probe_agents.cli import main
+from probe_agents.policies.bundle import ALGORITHMS
+from probe_agents.records.locks import run_lock
+from probe_agents.records.shipped import file_or_shipped
+from probe_agents.training import tuning as module
+from probe_agents.training.config import LIMITS, ROLLOUT, USUAL, Range, Training, axes_of
+from probe_agents.training.train import CHECKPOINT, RUN
+from probe_agents.training.tuning import STARTUP_TRIALS, Tuning, search
 from probe_env.files import FileError
 
 FILE = """
@@ -157,7 +157,7 @@ def test_killed_in_a_training_it_goes_on_from_its_checkpoint(tmp_path):
         (tmp_path / name).mkdir()
     _search(tmp_path / "whole")
     folder, place = tmp_path / "killed", tmp_path / "killed" / "trials" / "0001" / "seed-3"
-    assert killed_at("agents.training.train.save_checkpoint", 3, _search, folder, after=True)
+    assert killed_at("probe_agents.training.train.save_checkpoint", 3, _search, folder, after=True)
     assert (place / CHECKPOINT).exists()
     _search(folder)
     pd.testing.assert_frame_equal(table_of(folder), table_of(tmp_path / "whole"), check_exact=True)

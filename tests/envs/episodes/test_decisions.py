@@ -6,8 +6,8 @@ import pytest
 from stable_baselines3 import PPO
 
 import probe_env  # noqa: F401
-from agents.policies.bundle import from_sb3, load_bundle, save_bundle
-from agents.vec_env import ProbeVecEnv
+from probe_agents.policies.bundle import from_sb3, load_bundle, save_bundle
+from probe_agents.vec_env import ProbeVecEnv
 from probe_env import TaskConfig
 from probe_env.envs.episodes.decisions import AVERAGED
 

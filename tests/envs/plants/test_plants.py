@@ -6,7 +6,7 @@ import pytest
 import tomli_w
 from scipy.stats import ks_1samp, norm, uniform
 
-from agents.vec_env import ProbeVecEnv
+from probe_agents.vec_env import ProbeVecEnv
 from probe_env import Plant, Scene, TaskConfig
 from probe_env.envs.contexts import HELIX_DIAMETERS, Context
 from probe_env.envs.plants import Bundle, Normal, middle, quantiles

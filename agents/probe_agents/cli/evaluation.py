@@ -1,0 +1,200 @@
+"""Commands evaluate, agents, render and signal."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tyro
+
+from probe_agents.cli.parsing import File, hide_default
+from probe_agents.evaluation.workers import Workers
+from probe_agents.terminal.tables import print_line
+
+Policies = Annotated[tuple[str, ...], tyro.conf.arg(metavar="[POLICY ...]")]
+
+
+@dataclass(frozen=True)
+class Evaluate:
+    """Evaluate policies on the same tubes: KPIs with intervals, paired differences, a table and a report.
+
+    The folder of a stored or interrupted evaluation as the only argument writes its report again. A schedule file as
+    the only argument is compared with best-schedule.
+
+    Example: probe-env evaluate ppo pi my-schedule.csv --limit 6 --fidelity fast
+    """
+
+    policies: tyro.conf.Positional[Policies] = ("constant", "slow", "slow-down", "pi")
+    """Names (see `probe-env agents`; ppo@2: training seed 2), schedules (.csv, .toml, .xlsx), laws (.json), agents
+    (.safetensors).
+    NAME=FILE sets the name in tables, NAME@K=FILE also the training seed.
+    shielded:POLICY raises the air supply where the drive would be too low."""
+    probes: Literal["scene", "random"] = "scene"
+    """scene: the probe of the task; random: another probe of the design space for every tube and seed."""
+    against: Annotated[str | None, hide_default()] = None
+    """Reference policy of the comparison; default: the first."""
+    output: Path = Path("output/evaluation")
+    """Folder of the tables and the report; stored episodes are not run again."""
+    contexts: Literal["train", "validation", "test"] = "test"
+    """Shipped list of tubes."""
+    limit: int = 0
+    """Number of tubes, the first of the list; 0: all."""
+    seeds: int = 1
+    """Number of seeds of sensor noise and start for every tube."""
+    fidelity: str = "standard"
+    """Accuracy of the simulation: study, reference, standard, fast, surrogate, auto or auto:TOLERANCE.
+    With --passes both: study, standard or fast. Or settings, such as "{'method': 'imex', 'time_step': 1e-4}"."""
+    workers: Annotated[Workers, tyro.conf.arg(name="")] = field(default_factory=Workers)
+    tube: File = None
+    """Your plant (tube.toml). Its tubes replace the shipped list."""
+    strict: bool = False
+    """Error instead of a warning for policies that were trained or searched for other tubes."""
+    passes: Annotated[Literal["in", "both"] | None, hide_default()] = None
+    """in: insertion; both: insertion and withdrawal. Default: as in the tube file, else in.
+    Schedule files can have columns return_feed_speed_m_per_s and return_air_supply_m3_per_h for the withdrawal.
+    Policies for insertion withdraw at the highest feed speed."""
+    inspects: Annotated[Literal["in", "back", "best"] | None, hide_default()] = None
+    """Pass that is scored with --passes both: the insertion, the withdrawal, or the better of both (default)."""
+
+    def run(self) -> None:
+        """Run what is missing, print, write the report; of a stored evaluation the report alone."""
+        from probe_agents.evaluation.folder import is_evaluation
+        from probe_agents.evaluation.run import evaluate, report_again
+        from probe_agents.evaluation.statistics import BAR
+        from probe_agents.policies.catalogue import is_schedule_file
+        from probe_agents.terminal.fidelities import parse_fidelity
+
+        folder = Path(self.policies[0]) if len(self.policies) == 1 else Path()
+        named = folder.is_dir() and len(folder.parts) > 1 and not folder.suffix
+        if folder.parts and (named or is_evaluation(folder)):
+            print_line(f"written: {report_again(folder, self.against)}")
+            return
+        arguments: dict[str, Any] = vars(self) | {"fidelity": parse_fidelity(self.fidelity)}
+        lone = len(self.policies) == 1 and is_schedule_file(self.policies[0]) and not self.strict
+        if lone:
+            arguments |= {"policies": (*self.policies, BAR), "against": self.against or BAR}
+        evaluate(**arguments)
+        if lone:
+            print(f"{BAR} was added for comparison")
+
+
+@dataclass(frozen=True)
+class Agents:
+    """List trained agents with their observations, training tasks and seeds, and the names of other policies.
+
+    Example: probe-env agents
+    """
+
+    def run(self) -> None:
+        """Print."""
+        from probe_agents.policies.catalogue import NAMES
+        from probe_agents.policies.trained import print_agents
+        from probe_agents.records.shipped import shipped_names
+        from probe_agents.terminal.tables import print_terms
+
+        print_agents()
+        print("Other policies")
+        print_terms({"by name": ", ".join(NAMES), "schedules": ", ".join(shipped_names("schedules"))})
+
+
+@dataclass(frozen=True)
+class Render:
+    """Film an episode of a policy, or the motion near the tip in slow motion.
+
+    Example: probe-env render --policy ppo --fidelity fast --output output/ppo.gif
+    """
+
+    output: Path = Path("output/insertion.gif")
+    """File: .gif, .mp4, or .png for the last frame."""
+    view: Literal["helix", "strip"] = "helix"
+    """helix: an episode, with the probe in the helix, feed, air, vibration and reward.
+    strip: the unrolled tube near the tip, 8 times slower, with floats, contacts and the sensor's motion."""
+    env_id: Literal["probe_env/Insertion-v1", "probe_env/Snapshot-v1", "probe_env/Inspection-v0"] = (
+        "probe_env/Insertion-v1"
+    )
+    """Environment."""
+    policy: str = "constant"
+    """Name of a policy or trained agent, schedule file, or trained agent (.safetensors)."""
+    fidelity: str = "standard"
+    """Accuracy of the simulation: study, reference, standard, fast or auto."""
+    contexts: Literal["random", "train", "validation", "test"] = "random"
+    """List from which the tube is sampled; random: from the ranges of all lists."""
+    every: int = 4
+    """Control periods per frame of the helix: 1 s each in Insertion-v1, 0.1 s in Snapshot-v1."""
+    at: Annotated[float | None, hide_default()] = None
+    """Inserted length at which the strip begins [m]; default: three quarters of the helix."""
+    length: float = 10.0
+    """Length of the strip, behind the tip [m]."""
+    duration: float = 0.5
+    """Simulated duration of the strip [s], at most 2; a frame every 5 ms."""
+    seed: int = 0
+    """Seed of the tube and the sensor noise."""
+    tube: File = None
+    """Your plant (tube.toml), from which a tube is sampled."""
+
+    def run(self) -> None:
+        """Simulate, draw, write."""
+        from probe_agents.evaluation.film import render_episode, render_strip
+        from probe_agents.policies.cases import plant_at
+
+        if self.at is not None and self.view != "strip":
+            raise ValueError(f"at = {self.at!r} m needs --view strip")
+        options: dict[str, Any] = {"tube": plant_at(self.tube), "fidelity": self.fidelity, "contexts": self.contexts}
+        if self.view == "strip":
+            options |= {"at": self.at, "length": self.length, "duration": self.duration}
+            figures = render_strip(self.env_id, self.output, self.policy, self.seed, **options)
+        else:
+            figures = render_episode(self.env_id, self.output, self.policy, self.every, self.seed, **options)
+        for name, value in figures.items():
+            print(f"{name:40s} {value:.6g}")
+        print_line(f"written: {self.output}")
+
+
+@dataclass(frozen=True)
+class Signal:
+    """Simulate the sensor signals of a run: X and Y with supports and flaws, Lissajous figures, calls.
+
+    Example: probe-env signal best-schedule --flaws 10:20 30:20 50:40
+    """
+
+    policy: tyro.conf.Positional[Annotated[str, tyro.conf.arg(metavar="[POLICY]")]] = "constant"
+    """Name of a policy or trained agent, schedule file, feedback law (.json), or trained agent (.safetensors)."""
+    flaws: Annotated[tuple[str, ...], hide_default("POSITION:DEPTH ...")] = ()
+    """Flaws: metres from the entrance of the helix and % of the wall, such as 10:20 30:40. Default: 20 % every 5 m."""
+    output: Path = Path("output/signal")
+    """Folder of strip.png, flaws.png, channels.csv (every millisecond), flaws.csv, periods.csv and signal.json."""
+    evaluation: File = None
+    """Folder of an evaluation; the probability of detection of its policies is written to pod.png and pod.csv."""
+    contexts: Literal["train", "validation", "test"] = "test"
+    """Shipped list of tubes."""
+    context: int = 0
+    """Index of the tube in the list."""
+    until: Annotated[float | None, hide_default()] = None
+    """Inserted length at the end [m]; default: the end of the helix."""
+    fidelity: str = "standard"
+    """Accuracy of the simulation: study, reference or standard; a time-lapse skips metres of the tube."""
+    seed: int = 0
+    """Seed of the start, the sensor noise and the electronic noise."""
+    tube: File = None
+    """Your plant (tube.toml), with its tubes, sensor and support_spacing."""
+
+    def run(self) -> None:
+        """Simulate, draw, write, print."""
+        from probe_agents.evaluation.signal import draw_curves, run_signal
+        from probe_agents.policies.cases import load_case
+
+        case = load_case(self.tube, self.contexts)
+        if self.evaluation:
+            draw_curves(self.evaluation, self.output)
+        run_signal(
+            self.policy,
+            case,
+            self.fidelity,
+            self.output,
+            context=self.context,
+            flaws=self.flaws,
+            support_spacing=case.plant.tube.support_spacing if case.plant else None,
+            until=self.until,
+            seed=self.seed,
+        )

@@ -1,0 +1,157 @@
+"""Compares probe designs in the same tubes under one feed, with intervals and paired differences."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final, Self
+
+import pandas as pd
+from pydantic import FiniteFloat, ValidationError, model_validator
+from tqdm import tqdm
+
+from probe_agents.design.trials import DesignTrials, claim, tube_column
+from probe_agents.evaluation.kpis import CORE, CORE_FAILURES, OF_DESIGNS, kpis_of
+from probe_agents.evaluation.statistics import Interval, failure_text, failures, mean_interval, short
+from probe_agents.policies.cases import TABLE_2
+from probe_agents.policies.catalogue import domains_of, name_and_spec
+from probe_agents.policies.policy import check_domains
+from probe_agents.records.atomic import write_atomically
+from probe_agents.records.manifest import commit, write_manifest
+from probe_agents.records.models import Journal, Key, Stored, require
+from probe_agents.records.tables import Columns, read_csv
+from probe_agents.terminal.tables import print_table
+from probe_agents.terminal.work import Work, announce
+from probe_env import Design
+from probe_env.envs.trials import check_candidate, check_measure, segment_of
+from probe_env.settings import explain
+
+STORED: Final = "designs.csv"
+COLUMNS: Final[Columns] = {"design": "name", "context": "count", **dict.fromkeys(CORE, "number")}
+NEWER: Final[Columns] = dict.fromkeys(OF_DESIGNS, "number")
+"""Required columns of the stored table, and optional ones."""
+BATCH = 16
+
+
+class Trial(Stored):
+    """A line of ``designs.jsonl``."""
+
+    key: Key
+    kpis: dict[str, FiniteFloat]
+
+    @model_validator(mode="after")
+    def _complete(self) -> Self:
+        require("kpis", self.kpis, (*CORE, *CORE_FAILURES))
+        return self
+
+
+def compare(designs: Mapping[str, Design], trials: DesignTrials, output: Path) -> pd.DataFrame:
+    """Run missing trials, store designs.csv and summary.csv; returns one row per design and context.
+
+    Args:
+        designs: name -> design.
+        trials: settings of the trials.
+        output: folder.
+
+    Raises:
+        ValueError: no designs, or feed, measure or a design is not valid; nothing is run.
+    """
+    if not designs:
+        raise ValueError("designs = none: give at least one design file (TOML) or the name of a shipped design")
+    check_measure(trials.config)
+    segment_of(trials.config)
+    feed = None if trials.full else trials.schedule()
+    if trials.plant_label != TABLE_2:  # table 2 accepts the whole design space
+        name = name_and_spec(trials.feed)[0]
+        check_domains(domains_of([trials.feed], {name: trials.policy()}), trials.config, trials.contexts, strict=False)
+        for name, design in designs.items():
+            for context in trials.contexts:
+                try:
+                    check_candidate(design, context, trials.config, trials.fidelity, feed)
+                except ValueError as error:
+                    reason = explain(error) if isinstance(error, ValidationError) else error
+                    raise ValueError(f"design {name!r} in {trials.plant_label.name}: {reason}") from error
+    journal = Journal(output / "designs.jsonl", Trial)
+    claim(output, trials.plant_label)
+    units = [(name, k) for name in designs for k in range(len(trials.contexts))]
+    keys = {u: trials.key(designs[u[0]], trials.contexts[u[1]], u[1]) for u in units}
+    planned, done = set(keys.values()), journal.read()
+    missing = list({keys[unit]: unit for unit in units if keys[unit] not in done}.values())  # equal designs run once
+    announce(Work("trial", len(planned), lambda: len(planned & journal.read().keys()), output))
+    if missing:
+        with journal.appending() as append, tqdm(total=len(missing), desc="designs", unit="trial") as bar:
+            for begin in range(0, len(missing), BATCH):
+                part = missing[begin : begin + BATCH]
+                pairs = [(designs[name], trials.contexts[k]) for name, k in part]
+                rows = zip(part, trials.run(pairs, [k for _, k in part]), strict=True)
+                lines = [{"key": keys[unit], "commit": commit(), "kpis": kpis} for unit, kpis in rows]
+                append("".join(f"{json.dumps(line)}\n" for line in lines))
+                bar.update(len(part))
+        done = journal.read()
+    column = tube_column(trials.plant_label)
+    table = pd.DataFrame(
+        {"design": name, "context": k} | column | trials.contexts[k].model_dump() | done[keys[name, k]]["kpis"]
+        | {"commit": done[keys[name, k]].get("commit", "unknown")}
+        for name, k in units
+    )  # fmt: skip
+    write_atomically(output / STORED, table.to_csv(index=False, float_format="%.6g"))
+    write_atomically(output / "summary.csv", summarise(table).to_csv(index=False, float_format="%.6g"))
+    built = {name: design.built.model_dump() for name, design in designs.items()}
+    setting: dict[str, Any] = trials.setting | column
+    write_manifest(output, (STORED, "summary.csv"), commits=table["commit"], designs=built, **setting)
+    return table
+
+
+def summarise(table: pd.DataFrame) -> pd.DataFrame:
+    """Mean and interval of every KPI of every design over the contexts, and paired difference from the first design."""
+    first, rows = str(table["design"].iloc[0]), []
+    by_design = {name: part.set_index("context") for name, part in table.groupby("design", sort=False)}
+    for name, part in by_design.items():
+        for kpi in kpis_of(part.columns, OF_DESIGNS):
+            mean = mean_interval(part[kpi].to_numpy())
+            change = mean_interval((part[kpi] - by_design[first][kpi]).to_numpy())
+            rows.append((name, kpi, mean.mean, mean.low, mean.high, change.mean, change.low, change.high))
+    columns = ["design", "kpi", "mean", "low", "high", "change", "change_low", "change_high"]
+    return pd.DataFrame(rows, columns=columns)
+
+
+def cells(summary: pd.DataFrame) -> list[list[str]]:
+    """Rows of text: a design, its KPIs with intervals, and the change of the reward against the first design."""
+    rows, kpis = [], kpis_of(summary["kpi"], OF_DESIGNS)
+    for name in dict.fromkeys(summary["design"]):
+        part = summary[summary["design"] == name].set_index("kpi")
+        means = {kpi: Interval(*part.loc[kpi, ["mean", "low", "high"]]) for kpi in kpis}
+        change = Interval(*part.loc["reward", ["change", "change_low", "change_high"]])
+        rows.append([str(name), *(_text(mean, kpis[kpi][1]) for kpi, mean in means.items()), _text(change)])
+    return rows
+
+
+def _text(interval: Interval, factor: float = 1.0) -> str:
+    return interval.text(factor) if interval.low < interval.high else short(interval.mean * factor)
+
+
+def header(summary: pd.DataFrame) -> list[str]:
+    """Headers of ``cells``."""
+    kpis = kpis_of(summary["kpi"], OF_DESIGNS).values()
+    return ["design", *(f"{name} [{unit}]" if unit else name for name, _, unit in kpis), "reward, change"]
+
+
+def read_comparison(folder: Path) -> pd.DataFrame:
+    """Read the rows of a comparison, one per design and context.
+
+    Raises:
+        FileNotFoundError: no comparison in the folder.
+        FileError: the file is damaged.
+    """
+    return read_csv(folder / STORED, COLUMNS, NEWER)
+
+
+def print_comparison(table: pd.DataFrame) -> None:
+    """Print the summary."""
+    where = f" of {table['tube'].iloc[0]}" if "tube" in table else ""
+    number, summary = table["context"].nunique(), summarise(table)
+    means = f"Means over {number} tubes{where} with 95 % intervals" if number > 1 else f"One tube{where}"
+    print_table(f"{means}; change against the first", header(summary), cells(summary))
+    for name, part in table.groupby("design", sort=False):
+        print(f"{name}: {', '.join(failure_text(failures(part)))}")

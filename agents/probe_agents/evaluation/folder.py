@@ -1,0 +1,261 @@
+"""The files of an evaluation: the journal of episodes, its tables, and the reader of both.
+
+``setting.json`` holds the common settings, ``unfinished.json`` the planned episodes until the tables are written,
+``report.json`` the reference policy of the report and the bundle of tubes.
+"""
+
+from __future__ import annotations
+
+import errno
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, NamedTuple, Self
+
+import numpy as np
+import pandas as pd
+from pydantic import FiniteFloat, NonNegativeInt, model_validator
+from pydantic_core import PydanticCustomError
+
+from probe_agents.evaluation.kpis import (
+    CORE,
+    CORE_FAILURES,
+    COST_KPIS,
+    KPIS,
+    OF_INSTRUMENT,
+    PROFILE_COLUMNS,
+    PROFILE_COLUMNS_INSTRUMENT,
+    PROFILE_COLUMNS_NEWER,
+)
+from probe_agents.evaluation.statistics import grouped
+from probe_agents.records.models import Journal, Key, Record, Stored, read_json, require
+from probe_agents.records.tables import Columns, Kind, check_table, read_csv, read_parquet
+from probe_agents.terminal.names import name_problem
+from probe_env import Context
+from probe_env.design import RANGES
+from probe_env.envs.episodes.starts import Probes
+from probe_env.envs.plants import Bundle
+from probe_env.envs.task import ENDINGS, TaskConfig
+from probe_env.files import FileError
+from probe_env.inspection.metrics import POD_NAMES
+
+UNFINISHED: Final = "unfinished.json"
+FILES: Final = ("episodes.csv", "episodes.parquet", "profile.parquet")
+CASE: Final[dict[str, Kind]] = {"policy": "name", "context": "count", "seed": "count"}
+EPISODES: Final[Columns] = {
+    **CASE, **dict.fromkeys((*Context.model_fields, *CORE, "complete", *CORE_FAILURES), "number")
+}  # fmt: skip
+"""Columns of every ``episodes.csv`` and ``episodes.parquet``."""
+EPISODES_NEWER: Final[Columns] = dict.fromkeys((*KPIS, *OF_INSTRUMENT, *COST_KPIS, *POD_NAMES, *ENDINGS), "number")
+"""Columns that tables of older versions lack."""
+PROFILE: Final[Columns] = {**dict.fromkeys(PROFILE_COLUMNS, "maybe"), **CASE}
+"""Columns of ``profile.parquet``, one row per metre; NaN where a probe diverged."""
+PROFILE_NEWER: Final[Columns] = dict.fromkeys((*PROFILE_COLUMNS_NEWER, *PROFILE_COLUMNS_INSTRUMENT), "maybe")
+"""Columns that profiles of older versions, or without an instrument, lack."""
+Unit = tuple[str, int, int]
+"""Policy name, context number and seed of an episode."""
+Planned = tuple[str, str, int, int]
+"""Key, policy name, context number and seed of an episode."""
+
+
+class Episode(Stored):
+    """A line of ``episodes.jsonl``. Profiles hold NaN for the period in which a probe diverged."""
+
+    key: Key
+    unit: Unit
+    kpis: dict[str, FiniteFloat]
+    profile: dict[str, list[float]]
+    probe: dict[str, FiniteFloat] | None = None
+
+    @model_validator(mode="after")
+    def _complete(self) -> Self:
+        require("kpis", self.kpis, (*CORE, "complete", *CORE_FAILURES))
+        require("profile", self.profile, PROFILE_COLUMNS)
+        require("probe", self.probe or RANGES, RANGES)
+        if len({len(values) for values in self.profile.values()}) > 1:
+            raise PydanticCustomError("profile", "profile: the columns differ in length")
+        return self
+
+
+class Setting(Stored):
+    """``setting.json``: common settings of all episodes of a folder."""
+
+    task: TaskConfig
+    fidelity: dict[str, Any]
+    probes: Probes = "scene"
+    version: str = ""
+    commit: str = ""
+
+
+class Manifest(Record):
+    """``manifest.json`` of an evaluation."""
+
+    policies: dict[str, dict[str, Any]]
+
+
+class Unfinished(Manifest):
+    """``unfinished.json``: the planned episodes, until the tables are written."""
+
+    contexts: tuple[Context, ...]
+    episodes: tuple[tuple[Key, str, NonNegativeInt, NonNegativeInt], ...]
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        for _, policy, context, _ in self.episodes:
+            problem = name_problem(policy)
+            if not problem and (context >= len(self.contexts) or policy not in self.policies):
+                problem = f"in tube {context}: no such policy or tube"
+            if problem:
+                raise PydanticCustomError("episodes", "{text}", {"text": f"episodes: {policy!r} {problem}"})
+        return self
+
+
+class ReportSettings(Stored):
+    """``report.json``: the reference policy, the policies that are files of the user, and the bundle of tubes."""
+
+    against: str
+    own: tuple[str, ...] = ()
+    bundle: Bundle | None = None
+
+    def to_json(self) -> dict[str, Any]:
+        """Content of the file."""
+        return self.model_dump(mode="json", exclude_none=True)
+
+
+def episodes_of(output: Path) -> Journal[Episode]:
+    """The journal of an evaluation's episodes."""
+    return Journal(output / "episodes.jsonl", Episode)
+
+
+def read_episodes(path: Path) -> pd.DataFrame:
+    """A table of episodes, CSV or Parquet.
+
+    Raises:
+        FileNotFoundError: no such file.
+        FileError: the file is damaged.
+    """
+    table = (read_csv if path.suffix == ".csv" else read_parquet)(path, EPISODES, EPISODES_NEWER)
+    return table.rename(columns={"agent": "training_seed"})  # its name before version 0.1.0
+
+
+def collect_tables(
+    planned: Sequence[Planned], contexts: Sequence[Context], done: Mapping[str, dict[str, Any]]
+) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """KPIs with one row per episode, and profiles with one row per metre.
+
+    Args:
+        planned: the episodes, all finished.
+        contexts: the tubes.
+        done: records of episodes by key.
+    """
+    rows, profiles = [], []
+    for key, name, k, seed in planned:
+        record = done[key]
+        case: dict[str, Any] = {"policy": name, "context": k, "seed": seed}
+        origin = {"commit": record.get("commit", "unknown")}
+        rows.append(case | contexts[k].model_dump() | record.get("probe", {}) | record["kpis"] | origin)
+        profiles.append(pd.DataFrame(record["profile"]).astype(np.float32).assign(**case))
+    return pd.DataFrame(rows), pd.concat(profiles, ignore_index=True)
+
+
+class Missing(NamedTuple):
+    """Numbers of stored and planned episodes of an interrupted evaluation; policies and their missing episodes."""
+
+    stored: int
+    planned: int
+    gaps: tuple[tuple[str, str], ...]
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """A stored evaluation.
+
+    Attributes:
+        table: KPIs with one row per episode, training seeds under one name (``grouped``).
+        profile: one row per metre of these episodes, grouped too.
+        setting: common settings of all episodes.
+        record: command, commit, machine, descriptions of the policies.
+        against: reference policy of the comparison.
+        user_policies: policies that are files of the user.
+        bundle: bundle of tubes whose hours are reported; None: no hours.
+        missing: episodes that an interrupted evaluation lacks; None: it is finished.
+    """
+
+    table: pd.DataFrame
+    profile: pd.DataFrame
+    setting: Setting
+    record: Manifest
+    against: str
+    user_policies: tuple[str, ...]
+    bundle: Bundle | None
+    missing: Missing | None
+
+
+def is_evaluation(folder: Path) -> bool:
+    """Whether a path is the folder of an evaluation, finished or not."""
+    return folder.is_dir() and any((folder / name).exists() for name in ("setting.json", UNFINISHED))
+
+
+def read_evaluation(folder: Path) -> Evaluation:
+    """The tables of a folder; for an interrupted evaluation, the stored episodes that can be compared.
+
+    Raises:
+        FileNotFoundError: no evaluation is stored there.
+        FileError: a file is damaged, or no episode is stored yet.
+    """
+    if (folder / UNFINISHED).exists():
+        return _interrupted(folder)
+    paths = [folder / name for name in ("episodes.parquet", "profile.parquet", "manifest.json")]
+    if missing := [path for path in paths if not path.exists()]:
+        raise FileNotFoundError(errno.ENOENT, "no evaluation is stored there", str(missing[0]))
+    table, profile = grouped(read_episodes(paths[0])), grouped(read_parquet(paths[1], PROFILE, PROFILE_NEWER))
+    if not set(profile["policy"]) <= set(table["policy"]):
+        raise FileError(paths[1], "has policies that are not in episodes.parquet: evaluate again into this folder")
+    report = _report_settings(folder, table, strict=True)
+    setting, record = read_json(folder / "setting.json", Setting), read_json(paths[2], Manifest)
+    return Evaluation(table, profile, setting, record, report.against, report.own, report.bundle, None)
+
+
+def _report_settings(folder: Path, table: pd.DataFrame, strict: bool) -> ReportSettings:
+    path, policies = folder / "report.json", list(dict.fromkeys(table["policy"]))
+    settings = read_json(path, ReportSettings) if path.exists() else ReportSettings(against="")
+    own = tuple(name for name in settings.own if name in policies)
+    against = settings.against
+    if against not in policies:
+        if strict and against:
+            raise FileError(path, f"against = {against!r} is not one of the policies: {', '.join(policies)}")
+        against = str(policies[0])
+    return ReportSettings(against=against, own=own, bundle=settings.bundle)
+
+
+def _interrupted(folder: Path) -> Evaluation:
+    plan, setting = read_json(folder / UNFINISHED, Unfinished), read_json(folder / "setting.json", Setting)
+    journal = episodes_of(folder)
+    done = journal.read()
+    stored = [episode for episode in plan.episodes if episode[0] in done]
+    if not stored:
+        raise FileError(journal.path, f"no episode is stored yet: `{plan.command}` continues the evaluation")
+    chosen = comparable(stored)
+    table, profile = collect_tables(chosen, plan.contexts, done)
+    check_table(journal.path, table, EPISODES, EPISODES_NEWER)
+    check_table(journal.path, profile, PROFILE, PROFILE_NEWER)
+    table, profile = grouped(table), grouped(profile)
+    total = Counter(name for _, name, _, _ in plan.episodes)
+    absent = Counter(name for key, name, _, _ in plan.episodes if key not in done)
+    gaps = tuple((name, f"{absent[name]} of {total[name]} insertions") for name in total if absent[name])
+    missing = Missing(len(stored), len(plan.episodes), gaps)
+    report = _report_settings(folder, table, strict=False)
+    return Evaluation(table, profile, setting, plan, report.against, report.own, report.bundle, missing)
+
+
+def comparable(stored: Sequence[Planned]) -> list[Planned]:
+    """The largest set of episodes with every chosen policy on the same cases."""
+    cases: dict[str, set[tuple[int, int]]] = {}
+    for _, name, k, seed in stored:
+        cases.setdefault(name, set()).add((k, seed))
+    names = sorted(cases, key=lambda name: -len(cases[name]))
+    groups = [names[: number + 1] for number in range(len(names))]
+    shared = [set.intersection(*(cases[name] for name in group)) for group in groups]
+    best = max(range(len(groups)), key=lambda number: (len(groups[number]) * len(shared[number]), number))
+    return [e for e in stored if e[1] in groups[best] and (e[2], e[3]) in shared[best]]

@@ -1,0 +1,415 @@
+"""Runs a plan: policies x contexts x seeds in a batch, resumable, into one table of episodes.
+
+An episode depends only on its policy, context and seed, so an interrupted evaluation continues to the same table.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+from tqdm import tqdm
+
+from probe_agents.evaluation.folder import (
+    FILES,
+    UNFINISHED,
+    ReportSettings,
+    Setting,
+    collect_tables,
+    episodes_of,
+)
+from probe_agents.evaluation.folder import Unit as Unit
+from probe_agents.evaluation.kpis import PROFILE_COLUMNS, PROFILE_COLUMNS_INSTRUMENT, PROFILE_COLUMNS_NEWER
+from probe_agents.evaluation.profiles import file_name
+from probe_agents.evaluation.repeat import (
+    cases_of,
+    instrument_kpis,
+    is_judged,
+    repeat_schedule,
+    repeat_table,
+    stretches_of,
+)
+from probe_agents.evaluation.workers import HERE, Workers
+from probe_agents.policies.planner import ModelPredictivePolicy
+from probe_agents.policies.policy import Policy as Policy
+from probe_agents.records.atomic import write_atomically
+from probe_agents.records.manifest import commit, origin, write_json, write_manifest
+from probe_agents.records.models import read_json
+from probe_agents.terminal.work import Work, announce
+from probe_env import Context, Fidelity
+from probe_env.arrays import BoolArray
+from probe_env.design import RANGES
+from probe_env.envs.env import make_episodes
+from probe_env.envs.episodes import Step
+from probe_env.envs.episodes.starts import Probes
+from probe_env.envs.plants import Bundle
+from probe_env.envs.task import VISIBLE_FIELDS, TaskConfig, describe
+from probe_env.envs.trials import PolicyBatch
+from probe_env.envs.vibration_map import VibrationMap, stored_map
+from probe_env.fidelity import measured_errors
+from probe_env.files import FileError
+from probe_env.inspection.metrics import with_pod_columns
+from probe_env.machine import available_cores
+
+BATCH: Final = 16
+"""Number of episodes in a batch."""
+SECONDS_PER_METRE, MEAN_SHARE = 5.5, 0.6
+"""Of a usual insertion: time per metre [s/m], and mean inserted length over that of the helix."""
+FULL_LANES: Final = 0.35
+"""Time of evaluations in full batches over that of the measured costs: 16 episodes at fast took 11 s of a core."""
+COLUMNS: Final = (*PROFILE_COLUMNS, *PROFILE_COLUMNS_NEWER)
+"""Columns of a profile."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """An evaluation: every policy on every context with every seed.
+
+    Attributes:
+        policies: by name.
+        contexts: the tubes.
+        seeds: seeds of sensor noise and start.
+        config: the task.
+        fidelity: fidelity of the simulation, resolved for the scene (``fidelity.resolve_fidelity``).
+        probes: "scene", or "random": context and seed select a ``Design``, the same for every policy.
+        vibration: vibration map of fidelity "surrogate"; default: the shipped one.
+        bundle: bundle of tubes whose hours are reported; None: no hours.
+    """
+
+    policies: Mapping[str, Policy]
+    contexts: Sequence[Context]
+    seeds: Sequence[int] = (0,)
+    config: TaskConfig = field(default_factory=TaskConfig)
+    fidelity: Fidelity = field(default_factory=Fidelity)
+    probes: Probes = "scene"
+    vibration: VibrationMap | None = None
+    bundle: Bundle | None = None
+
+    def setting(self) -> dict[str, Any]:
+        """Common settings of all episodes of a folder, JSON-ready."""
+        code = {"version": version("probe-env"), "commit": commit()}
+        return {**describe(self.config), "fidelity": self.fidelity.model_dump(), "probes": self.probes, **code}
+
+    def units(self) -> list[Unit]:
+        """Policy name, context number and seed of every episode."""
+        return [(name, k, seed) for name in self.policies for seed in self.seeds for k in range(len(self.contexts))]
+
+    def planned(self) -> list[tuple[str, str, int, int]]:
+        """Key, policy name, context number and seed of every episode."""
+        return [(self.key(unit), *unit) for unit in self.units()]
+
+    def described(self) -> dict[str, Any]:
+        """Policies, contexts and episodes, JSON-ready."""
+        policies = {name: policy.describe() for name, policy in self.policies.items()}
+        contexts = [context.model_dump() for context in self.contexts]
+        return {"policies": policies, "contexts": contexts, "episodes": self.planned()}
+
+    def key(self, unit: Unit) -> str:
+        """Key of an episode: hash of the policy's description, the context, its number and the seed."""
+        name, k, seed = unit
+        parts = [self.policies[name].describe(), self.contexts[k].model_dump(), k, seed]
+        return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:16]
+
+
+Source = Callable[[Plan, "deque[Unit]"], Iterator[str]]
+"""Runs episodes of a plan and yields a line of the journal for each."""
+
+
+def run_plan(
+    plan: Plan,
+    output: Path | None,
+    batch: int = BATCH,
+    progress: bool = True,
+    threads: int | None = None,
+    workers: Workers = HERE,
+    source: Source | None = None,
+    command: str | None = None,
+    report: ReportSettings | None = None,
+) -> pd.DataFrame:
+    """Run the episodes that a folder lacks; returns the table of all episodes of the plan.
+
+    Each episode is appended to ``episodes.jsonl`` when it ends; with workers, when its batch ends. ``unfinished.json``
+    lists the planned episodes until ``episodes.csv``, ``episodes.parquet`` and ``profile.parquet`` are written.
+
+    Args:
+        plan: the evaluation.
+        output: the folder; None: nothing is read or written.
+        batch: maximum number of episodes in a batch.
+        progress: whether to show a progress bar.
+        threads: maximum number of threads; None: all cores.
+        workers: workers that run the episodes; default: this process.
+        source: runs the episodes instead of ``workers``.
+        command: command line to store; default: the one of this process.
+        report: settings of the report to store.
+
+    Raises:
+        ValueError: the folder holds episodes of other settings, version or commit; nothing is changed.
+    """
+    if output is None:
+        lines = _lines(plan, deque(plan.units()), batch, threads, workers)
+        done = {record["key"]: record for record in map(json.loads, lines)}
+        return collect_tables(plan.planned(), plan.contexts, done)[0]
+    journal, done = episodes_of(output), stored_episodes(plan, output)
+    if report is not None:
+        write_json(output / "report.json", report.to_json())
+    units = {plan.key(unit): unit for unit in plan.units()}
+    missing = deque(unit for key, unit in units.items() if key not in done)
+    cores = min(workers.jobs if not workers.here else threads or available_cores(), available_cores())
+    announce(
+        Work(
+            "episode", len(units), lambda: len(units.keys() & journal.read().keys()), output,
+            seconds=sum(core_seconds(plan, unit[0]) for unit in missing) / max(len(missing), 1) / cores,
+        ),
+        quiet=not progress,
+    )  # fmt: skip
+    write_json(output / UNFINISHED, origin(command) | plan.described())
+    if missing:
+        write_json(output / "setting.json", plan.setting())
+        with (
+            journal.appending() as append,
+            tqdm(total=len(missing), desc="evaluate", unit="episode", disable=not progress) as bar,
+        ):
+            for line in source(plan, missing) if source else _lines(plan, missing, batch, threads, workers):
+                append(line)
+                bar.update()
+        done = journal.read()
+    table, profile = collect_tables(plan.planned(), plan.contexts, done)
+    write_atomically(output / "episodes.csv", table.to_csv(index=False, float_format="%.8g"))
+    for name, frame in (("episodes", table), ("profile", profile)):
+        buffer = io.BytesIO()
+        frame.to_parquet(buffer, index=False)
+        write_atomically(output / f"{name}.parquet", buffer.getvalue())
+    files, policies = (
+        (*FILES, "setting.json", *_write_repeat(plan, table, profile, output)),
+        plan.described()["policies"],
+    )
+    write_manifest(output, files, seeds=plan.seeds, command=command, commits=table["commit"], policies=policies)
+    (output / UNFINISHED).unlink(missing_ok=True)
+    return table
+
+
+def _write_repeat(plan: Plan, table: pd.DataFrame, profile: pd.DataFrame, output: Path) -> list[str]:
+    """Write the metres to repeat, and a schedule of them for each policy; returns the names of the files."""
+    if not is_judged(plan.config):
+        return []
+    cases = cases_of(table, profile, plan.config)
+    contents = {"repeat.csv": repeat_table(cases).to_csv(index=False, float_format="%.6g")}
+    for policy in plan.policies:
+        own = [(*part, plan.contexts[int(key[1])]) for key, part in cases.items() if key[0] == policy]
+        if any(len(intervals) for _, intervals, _ in own):
+            schedule = repeat_schedule(own, plan.config, plan.vibration or stored_map(), plan.fidelity.time_lapse)
+            contents[f"repeat-{file_name(policy)}.csv"] = schedule.to_csv()
+    for name, text in contents.items():
+        write_atomically(output / name, text)
+    return list(contents)
+
+
+def core_seconds(plan: Plan, policy: str) -> float:
+    """Rough time of an episode on one core [s], from the measured costs of methods; 0 if none is measured.
+
+    A planner also simulates its candidates.
+    """
+    costs = [
+        row.cost * row.fidelity.time_lapse
+        for row in measured_errors()
+        if plan.fidelity.simulates and row.fidelity.numerics == plan.fidelity.numerics
+    ]
+    scene, planner, planned = plan.config.scene, plan.policies[policy], 0.0
+    if isinstance(planner, ModelPredictivePolicy):
+        planned = planner.candidates * planner.periods / planner.every
+    motion = scene.tube.helix_length * SECONDS_PER_METRE / plan.fidelity.time_lapse
+    pitches = MEAN_SHARE * scene.tube.helix_length / scene.probe.float_pitch
+    return FULL_LANES * (1.0 + planned) * float(np.median(costs or [0.0])) * pitches * motion
+
+
+def stored_episodes(plan: Plan, output: Path) -> dict[str, dict[str, Any]]:
+    """Records of the stored episodes of a folder, by key.
+
+    Raises:
+        ValueError: the task, fidelity, version or commit differs from the plan's, or a file is damaged.
+    """
+    path, done = output / "setting.json", episodes_of(output).read()
+    if path.exists():
+        before = _shared(read_json(path, Setting))
+        now = _shared(Setting.model_validate_json(json.dumps(plan.setting())))
+        different = [name for name in now if before[name] != now[name]]
+        code = [f"{name} {before[name] or 'unknown'}, now {now[name]}" for name in ("version", "commit")
+                if name in different]  # fmt: skip
+        if different:
+            raise ValueError(
+                f"{output} has episodes with other settings ({', '.join(different)} differ"
+                f"{''.join(f'; {text}' for text in code)}): choose another folder"
+            )
+    elif done:
+        raise FileError(path, "missing next to episodes.jsonl, so their task is not known: choose another folder")
+    return done
+
+
+def _shared(setting: Setting) -> dict[str, Any]:
+    """Settings that must agree between episodes; the visible observations may differ."""
+    shared = ("fidelity", "probes", "version", "commit")
+    return setting.task.model_dump(exclude=set(VISIBLE_FIELDS)) | {name: getattr(setting, name) for name in shared}
+
+
+def _lines(plan: Plan, missing: deque[Unit], batch: int, threads: int | None, workers: Workers) -> Iterator[str]:
+    if workers.here:
+        runner = RolloutRunner(plan, missing, batch, threads)
+        while not runner.over:
+            yield from runner.step()
+        return
+    size, units = max(min(batch, len(missing) // (2 * workers.jobs)), 1), list(missing)
+    portions = [units[begin : begin + size] for begin in range(0, len(units), size)]
+    for _, lines in workers.map(lambda portion: list(_lines(plan, deque(portion), size, 1, HERE)), portions):
+        yield from lines
+
+
+def per_metre(profile: list[tuple[float, ...]]) -> dict[str, npt.NDArray[np.float64]]:
+    """Means of control periods (columns ``COLUMNS``) over each metre of inserted length; of squares for rms values.
+
+    ``inserted_length`` is the middle of the metre, ``time`` the end of its last period.
+    """
+    squared = ["radial_rms_m", *PROFILE_COLUMNS_NEWER]
+    if not profile:
+        return {name: np.zeros(0) for name in COLUMNS}
+    periods, metre = _periods(profile)
+    groups = periods.assign(**{name: periods[name] ** 2 for name in squared}).groupby(metre)
+    means = groups.mean()
+    means[squared] **= 0.5
+    means["time"] = groups["time"].max()
+    means["inserted_length"] = means.index + 0.5
+    return {name: means[name].to_numpy() for name in COLUMNS}
+
+
+def instrument_columns(
+    profile: list[tuple[float, ...]], axial: list[float], config: TaskConfig
+) -> dict[str, npt.NDArray[np.float64]]:
+    """Columns ``PROFILE_COLUMNS_INSTRUMENT`` of each metre of ``per_metre``; ``axial`` as in ``RolloutRunner``."""
+    if not profile:
+        return {name: np.zeros(0) for name in PROFILE_COLUMNS_INSTRUMENT}
+    periods, metre = _periods(profile)
+    highest = periods["feed_speed"].groupby(metre).max().to_numpy()
+    vibration = np.sqrt((pd.Series(axial) ** 2).groupby(metre).mean().to_numpy())
+    permitted = config.permitted_speed[0]
+    limits = np.full(len(highest), permitted if np.isfinite(permitted) else np.nan)
+    return dict(zip(PROFILE_COLUMNS_INSTRUMENT, (highest, vibration, limits), strict=True))
+
+
+def _periods(profile: list[tuple[float, ...]]) -> tuple[pd.DataFrame, pd.Series]:
+    """Control periods (columns ``COLUMNS``) and the metre of each; one that ends on a whole metre is in that before."""
+    periods = pd.DataFrame(profile, columns=list(COLUMNS))
+    return periods, np.ceil(periods["inserted_length"] - 1e-6) - 1.0
+
+
+class RolloutRunner:
+    """Runs a plan in a batch; a lane starts the next episode when its episode ends.
+
+    Args:
+        plan: the evaluation.
+        missing: units to run; started units are removed.
+        batch: maximum number of lanes.
+        threads: maximum number of threads; None: all cores.
+
+    Attributes:
+        episodes: the running episodes.
+        units: unit of each lane.
+        profile: for each lane, one row per control period of the insertion so far, columns ``COLUMNS``.
+        axial: for each row of ``profile``, rms of the sensor's axial velocity [m/s]; NaN: not simulated.
+        decided: whether ``actions`` are those of the next period.
+        actions: (N, 2) last actions.
+        last: the last period; None before the first.
+        active: (N,) lanes that ``actions`` are for.
+    """
+
+    def __init__(self, plan: Plan, missing: deque[Unit], batch: int, threads: int | None) -> None:
+        self.plan, self.missing = plan, missing
+        count = min(batch, len(missing))
+        self.episodes = make_episodes(
+            count,
+            plan.config,
+            threads=threads,
+            allow_standstill=True,
+            fidelity=plan.fidelity,
+            probes=plan.probes,
+            surrogate_map=plan.vibration,
+        )
+        self.units: list[Unit | None] = [None] * count
+        self.profile: list[list[tuple[float, ...]]] = [[] for _ in range(count)]
+        self.axial: list[list[float]] = [[] for _ in range(count)]
+        self.decided = False
+        self.actions = np.zeros((count, 2), dtype=np.float32)
+        self.last: Step | None = None
+        self.active: BoolArray = np.zeros(count, dtype=bool)
+        self._probes: dict[int, dict[str, float]] = {}
+        self._players = PolicyBatch(count)
+        self._observation: npt.NDArray[np.float32] = self.episodes.observation.copy()
+
+    @property
+    def over(self) -> bool:
+        """Whether all episodes have ended."""
+        return not self.missing and not self.episodes.running.any()
+
+    def step(self) -> Iterator[str]:
+        """Run a control period; yields the journal lines of the episodes that end."""
+        self.decide()
+        yield from self.advance()
+
+    def decide(self) -> None:
+        """Start episodes in idle lanes and compute the actions of the next period."""
+        idle = np.flatnonzero(~self.episodes.running).tolist()
+        fresh = {k: self.missing.popleft() for k in idle[: len(self.missing)]}
+        if fresh:
+            for k, unit in fresh.items():
+                self.units[k], self.profile[k], self.axial[k] = unit, [], []
+                self._players.begin(k, self.plan.policies[unit[0]])
+            options = {k: {"context": self.plan.contexts[context]} for k, (_, context, _) in fresh.items()}
+            rngs = {k: np.random.default_rng([seed, context]) for k, (_, context, seed) in fresh.items()}
+            self._observation, started = self.episodes.reset(list(fresh), rngs, options)
+            if self.plan.probes == "random":
+                self._probes |= {k: {name: started[k]["probe"][name] for name in RANGES} for k in fresh}
+        self.active = self.episodes.running.copy()
+        self.actions = self._players.act(self._observation, self.active, self.episodes)
+        self.decided = True
+
+    def advance(self) -> Iterator[str]:
+        """Apply ``actions`` for a period; yields the journal lines of the episodes that end."""
+        direction = self.episodes.direction.copy()
+        step = self.last = self.episodes.step(self.actions, self.active)
+        self.decided = False
+        self._observation = step.observation
+        window = getattr(self.episodes, "window", None)  # the surrogate has none
+        for k in np.flatnonzero(self.active).tolist():
+            info = step.infos[k]
+            if direction[k] > 0.0:
+                self.axial[k].append(float(window.statistics["axial_velocity_rms_m_per_s"][k]) if window else np.nan)
+                self.profile[k].append(tuple(float(info.get(name, np.nan)) for name in COLUMNS))
+            if "episode_kpis" in info:
+                unit, metres = self.unit(k), per_metre(self.profile[k])
+                kpis = with_pod_columns(info["episode_kpis"])
+                if is_judged(self.plan.config):
+                    metres |= instrument_columns(self.profile[k], self.axial[k], self.plan.config)
+                    stretches = stretches_of(metres, self.plan.config, kpis["complete"] > 0.0, kpis["lost_drive"] > 0.0)
+                    kpis |= instrument_kpis(stretches, self.plan.config)
+                profile = {name: [float(f"{v:.5g}") for v in values] for name, values in metres.items()}
+                record = {"key": self.plan.key(unit), "unit": unit, "commit": commit(), "kpis": kpis}
+                probe = {"probe": self._probes[k]} if k in self._probes else {}
+                yield json.dumps(record | {"profile": profile} | probe) + "\n"
+
+    def observed(self, k: int) -> npt.NDArray[np.float32]:
+        """(1, d) observation for the next action of a lane."""
+        return self._observation[k : k + 1]
+
+    def unit(self, k: int) -> Unit:
+        """The unit of a lane."""
+        unit = self.units[k]
+        assert unit is not None
+        return unit

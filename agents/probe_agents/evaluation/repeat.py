@@ -1,0 +1,424 @@
+"""Verdict on the speed of an inspection, and the metres to repeat: from metres of an evaluation or rows of a log."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import pandas as pd
+
+from probe_agents.policies.on_map import FIRST
+from probe_env import Context
+from probe_env.arrays import BoolArray, FloatArray
+from probe_env.envs.task import TaskConfig, slack
+from probe_env.envs.vibration_map import CONTEXT, PROFILED, VibrationMap, feeds, rms_limit
+from probe_env.schedule import Schedule
+
+CASE: Final = ["policy", "context", "seed"]
+INTERVAL: Final = ["from_m", "to_m", "reason"]
+SPEED, NOISE, DRIVE, SAMPLES = REASONS = ("speed", "noise", "lost drive", "samples")
+"""Reasons to repeat: above the permitted speed; vibration above its limit; root tension below the required one; no
+samples: not reached, or a gap in a log."""
+AND: Final = " and "
+TOLERANCE: Final = 1e-3
+"""Share by which a feed may exceed the permitted speed: actions and profiles are rounded."""
+QUIET_FEEDS: Final = 40
+"""Feeds among which the quiet speed is searched."""
+SETTLING: Final = 2.0
+"""Time in which the vibration follows a change of the feed [s], see ``probe_env.envs.vibration_map``."""
+GRID: Final = 0.1
+"""Spacing of the points of a repeated pass [m]."""
+BIN: Final = 5.0
+"""Length of a bin of ``repeat_overview`` [m], or a multiple."""
+MOST_ROWS: Final = 8
+"""Number of intervals in an overview or a sentence."""
+
+
+@dataclass(frozen=True, eq=False)
+class Stretches:
+    """Consecutive pieces of an insertion and what was measured in them, (n,) each in SI units; NaN: not measured.
+
+    Attributes:
+        begin, end: inserted length.
+        feed: highest feed.
+        axial: rms of the sensor's axial velocity about its mean.
+        air: air supply rate.
+        vibration: rms in the measure of the task: radial, or noise in the band of a flaw.
+        tension: mean root tension.
+        missing: whether samples are missing.
+    """
+
+    begin: FloatArray
+    end: FloatArray
+    feed: FloatArray
+    axial: FloatArray
+    air: FloatArray
+    vibration: FloatArray
+    tension: FloatArray
+    missing: BoolArray
+
+    def reasons(self, config: TaskConfig) -> dict[str, BoolArray]:
+        """Reason -> (n,) whether it applies; vibration is compared for the measures in ``PROFILED`` only."""
+        loud = np.zeros(len(self.begin), dtype=bool)
+        if config.vibration_measure in PROFILED:
+            loud = self.vibration > rms_limit(config)
+        return {
+            SPEED: self.feed > config.permitted_speed[0] * (1.0 + TOLERANCE),
+            NOISE: loud,
+            DRIVE: slack(config, self.tension, self.end),
+            SAMPLES: self.missing,
+        }
+
+
+def stretches_of(
+    metres: Mapping[str, FloatArray], config: TaskConfig, complete: bool = True, lost_drive: bool = False
+) -> Stretches:
+    """Stretches of an episode from its profile (columns (m,)) up to the end of the helix.
+
+    A metre without a row was passed within the period of the next one. Beyond the last row no metre was reached, and
+    that of the last row not to its end if the episode is not complete.
+
+    Args:
+        metres: profile of the episode, see ``plan.per_metre``.
+        config: task.
+        complete: whether the episode reached the end of the helix.
+        lost_drive: whether it ended because the drive was lost, which counts for its last metre.
+    """
+    rows, helix = np.flatnonzero(np.isfinite(metres["inserted_length"])), config.scene.tube.helix_length
+    ends = np.minimum(np.asarray(metres["inserted_length"], dtype=float)[rows] + 0.5, helix)
+    reached = len(ends)
+    first = float(ends[0]) - 1.0 if reached else FIRST
+    if not reached or ends[-1] < helix:
+        ends = np.append(ends, helix)
+
+    def column(name: str) -> FloatArray:
+        values = np.full(len(ends), np.nan)
+        if name in metres:
+            values[:reached] = np.asarray(metres[name], dtype=float)[rows]
+        return values
+
+    tension = column("tension_mean_n")
+    if lost_drive and reached:
+        tension[reached - 1] = 0.0
+    return Stretches(
+        begin=np.concatenate([[first], ends[:-1]]),
+        end=ends,
+        feed=column("highest_feed"),
+        axial=column("axial_velocity_rms"),
+        air=column("air_supply_rate"),
+        vibration=column(PROFILED.get(config.vibration_measure, "")),
+        tension=tension,
+        missing=np.arange(len(ends)) >= reached - (not complete),
+    )
+
+
+def intervals_to_repeat(stretches: Stretches, config: TaskConfig) -> pd.DataFrame:
+    """Disjoint intervals in ascending order, columns ``INTERVAL`` [m]; reasons of one interval are joined by "and".
+
+    For each reason, gaps shorter than ``repeat_length`` of the instrument are closed and shorter intervals extended to
+    it on both sides, within the insertion.
+    """
+    shortest = config.instrument.repeat_length if config.instrument else 0.0
+    low, high = float(stretches.begin[0]), float(stretches.end[-1])
+    by_reason = {
+        reason: _extended(stretches.begin[bad], stretches.end[bad], shortest, low, high)
+        for reason, bad in stretches.reasons(config).items()
+    }
+    edges = np.unique([edge for intervals in by_reason.values() for interval in intervals for edge in interval])
+    rows: list[tuple[float, float, str]] = []
+    for begin, end in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
+        reasons = (r for r, intervals in by_reason.items() if any(a <= begin and end <= b for a, b in intervals))
+        reason = AND.join(reasons)
+        if reason and rows and rows[-1][1:] == (begin, reason):
+            rows[-1] = rows[-1][0], end, reason
+        elif reason:
+            rows.append((begin, end, reason))
+    return pd.DataFrame(rows, columns=INTERVAL).astype({"from_m": float, "to_m": float})
+
+
+def _extended(
+    begin: FloatArray, end: FloatArray, shortest: float, low: float, high: float
+) -> list[tuple[float, float]]:
+    """Ascending intervals without gaps shorter than ``shortest``, none shorter than it, in [low, high]."""
+    extended = []
+    for a, b in _merged(zip(begin.tolist(), end.tolist(), strict=True), shortest):
+        if b - a < shortest:
+            a = max(min(0.5 * (a + b - shortest), high - shortest), low)
+            b = min(a + shortest, high)
+        extended.append((a, b))
+    return _merged(extended, shortest)
+
+
+def _merged(intervals: Iterable[tuple[float, float]], gap: float) -> list[tuple[float, float]]:
+    """Ascending intervals, those closer than ``gap`` joined."""
+    merged: list[tuple[float, float]] = []
+    for a, b in intervals:
+        if merged and a - merged[-1][1] < max(gap, 1e-9):
+            merged[-1] = merged[-1][0], max(b, merged[-1][1])
+        else:
+            merged.append((a, b))
+    return merged
+
+
+Case = tuple[Stretches, pd.DataFrame]
+"""Stretches of an insertion, and its intervals to repeat."""
+Key = tuple[str | int, ...]
+"""Values of ``CASE`` and, if training seeds are grouped, the training seed."""
+
+
+def is_judged(config: TaskConfig) -> bool:
+    """Whether insertions are judged: there is an instrument, the probe is fed in, and the insertion is scored."""
+    return config.instrument is not None and config.growing and not (config.returns and config.inspects == "back")
+
+
+def instrument_kpis(stretches: Stretches, config: TaskConfig) -> dict[str, float]:
+    """Length driven too fast [m], most speed above the permitted one [m/s], and length to repeat [m].
+
+    Unless the axial velocity is unknown, also the length [m] in which the sum of feed and its rms is too fast.
+    """
+    too_fast, intervals = stretches.reasons(config)[SPEED], intervals_to_repeat(stretches, config)
+    length, limit = stretches.end - stretches.begin, config.permitted_speed[0] * (1.0 + TOLERANCE)
+    kpis = {
+        "length_too_fast_m": float(length[too_fast].sum()),
+        "speed_excess_m_per_s": float((stretches.feed[too_fast] - config.permitted_speed[0]).max(initial=0.0)),
+        "length_to_repeat_m": float((intervals["to_m"] - intervals["from_m"]).sum()),
+    }
+    if np.isfinite(stretches.axial).any() or not np.isfinite(stretches.feed).any():
+        kpis["length_sensor_too_fast_m"] = float(length[stretches.feed + stretches.axial > limit].sum())
+    return kpis
+
+
+def cases_of(table: pd.DataFrame, profile: pd.DataFrame, config: TaskConfig) -> dict[Key, Case]:
+    """Stretches and intervals of every episode.
+
+    Args:
+        table: episodes.
+        profile: a row for each metre of these episodes.
+        config: task.
+    """
+    case = [name for name in (*CASE, "training_seed") if name in table]
+    profiles = dict(list(profile.groupby(case)))
+    cases = {}
+    for key, complete, lost in table.set_index(case)[["complete", "lost_drive"]].itertuples():
+        rows = profiles.get(key, profile.iloc[:0])
+        metres = {str(name): rows[name].to_numpy() for name in rows.columns.difference(case)}
+        stretches = stretches_of(metres, config, complete > 0.0, lost > 0.0)
+        cases[key] = stretches, intervals_to_repeat(stretches, config)
+    return cases
+
+
+def repeat_table(cases: Mapping[Key, Case]) -> pd.DataFrame:
+    """Intervals of all episodes, columns ``CASE`` and ``INTERVAL``."""
+    parts = [part.assign(**dict(zip(CASE, key, strict=False))) for key, (_, part) in cases.items()]
+    return pd.concat([pd.DataFrame(columns=[*CASE, *INTERVAL]), *filter(len, parts)], ignore_index=True)
+
+
+def by_policy(cases: Mapping[Key, Case]) -> dict[str, list[Case]]:
+    """The cases of every policy."""
+    policies: dict[str, list[Case]] = {}
+    for key, case in cases.items():
+        policies.setdefault(str(key[0]), []).append(case)
+    return policies
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Whether a feed is allowed with the instrument, over all tubes.
+
+    Attributes:
+        policy: name.
+        permitted: permitted speed [m/s]; infinite without a limit.
+        requirement: field of the instrument that sets it; "" without a limit.
+        too_fast: intervals in which some tube was passed too fast [m]; none: the feed is allowed.
+        length: mean length driven too fast [m].
+        excess: most speed above the permitted one [m/s].
+        repeat: mean length to repeat, for all reasons [m].
+        sensor_length: mean length in which the sum of feed and rms of the axial velocity is above the permitted speed
+            [m]; NaN: not known.
+        loud: intervals in which vibration was above its limit in some tube [m]; none for measures not in ``PROFILED``.
+        loud_length: mean length with vibration above its limit [m].
+    """
+
+    policy: str
+    permitted: float
+    requirement: str
+    too_fast: tuple[tuple[float, float], ...]
+    length: float
+    excess: float
+    repeat: float
+    sensor_length: float
+    loud: tuple[tuple[float, float], ...]
+    loud_length: float
+
+    @property
+    def allowed(self) -> bool:
+        """Whether no metre was driven too fast."""
+        return not self.too_fast
+
+
+def verdict_of(policy: str, cases: Sequence[Case], config: TaskConfig) -> Verdict:
+    """The verdict on the episodes of a policy, or on a log."""
+    kpis = pd.DataFrame([instrument_kpis(stretches, config) for stretches, _ in cases])
+    intervals: dict[str, tuple[tuple[float, float], ...]] = {}
+    lengths: dict[str, float] = {}
+    for reason in (SPEED, NOISE):
+        bad = [(part.begin[where], part.end[where]) for part, _ in cases for where in (part.reasons(config)[reason],)]
+        begin, end = (np.concatenate(side) for side in zip(*bad, strict=True))
+        order = np.argsort(begin, kind="stable")
+        intervals[reason] = tuple(_merged(zip(begin[order].tolist(), end[order].tolist(), strict=True), 0.0))
+        lengths[reason] = float((end - begin).sum()) / len(cases)
+    mean = kpis.mean()
+    return Verdict(
+        policy, *config.permitted_speed, intervals[SPEED], lengths[SPEED], float(kpis["speed_excess_m_per_s"].max()),
+        float(mean["length_to_repeat_m"]), float(mean.get("length_sensor_too_fast_m", math.nan)),
+        intervals[NOISE], lengths[NOISE],
+    )  # fmt: skip
+
+
+def verdict_text(verdict: Verdict, tubes: int = 1) -> str:
+    """The verdict in a sentence; ``tubes`` is the number of insertions that it is about."""
+    if not verdict.requirement:
+        return "no speed limit of the instrument is set"
+    limit = f"{verdict.permitted:.3g} m/s ({verdict.requirement})"
+    mean = " on average" if tubes > 1 else ""
+    sensor = f"; with its axial vibration (rms) the sensor is above it in {verdict.sensor_length:.1f} m{mean}"
+    sensor = sensor if verdict.sensor_length > verdict.length else ""
+    if verdict.allowed:
+        return f"allowed: at most {limit} everywhere{sensor}"
+    length, excess = f"{verdict.length:.1f} m{mean}", f"{verdict.excess:.3g} m/s"
+    return f"not allowed: {length} above {limit}, by up to {excess}; {_where_text(verdict.too_fast, tubes)}{sensor}"
+
+
+def quiet_text(verdict: Verdict, limit: str, tubes: int = 1) -> str:
+    """Whether the vibration is within its limit in every metre, in a sentence; ``limit`` with its unit."""
+    if not verdict.loud:
+        return f"quiet: vibration within {limit} in every metre"
+    length = f"{verdict.loud_length:.1f} m{' on average' if tubes > 1 else ''}"
+    return f"not quiet: vibration above {limit} in {length}; {_where_text(verdict.loud, tubes)}"
+
+
+def _where_text(intervals: Sequence[tuple[float, float]], tubes: int) -> str:
+    where = ", ".join(f"{begin:.1f} to {end:.1f}" for begin, end in intervals[:MOST_ROWS])
+    more = f" and {len(intervals) - MOST_ROWS} more" if len(intervals) > MOST_ROWS else ""
+    return f"{'in some tube ' if tubes > 1 else ''}at {where} m{more}"
+
+
+def share_to_repeat(intervals: Sequence[pd.DataFrame], edges: FloatArray) -> FloatArray:
+    """(n,) share of insertions in which some of a bin is to be repeated.
+
+    Args:
+        intervals: of each insertion.
+        edges: (n + 1,) of the bins [m].
+    """
+    begin, end = edges[:-1, None], edges[1:, None]
+    hit = [((part["from_m"].to_numpy() < end) & (part["to_m"].to_numpy() > begin)).any(axis=1) for part in intervals]
+    return np.asarray(np.mean(hit, axis=0))
+
+
+def repeat_overview(intervals: Sequence[pd.DataFrame], length: float) -> pd.DataFrame:
+    """What is to be repeated in some insertion, in at most ``MOST_ROWS`` rows with columns ``INTERVAL`` and "share".
+
+    The intervals of all insertions if they fit, else bins of ``BIN`` or a multiple of it; neighbours with the same
+    reasons and share of the insertions are joined.
+
+    Args:
+        intervals: of each insertion.
+        length: of the helix [m].
+    """
+    parts, width = pd.concat(list(intervals)), BIN
+    rows = _overview_rows(intervals, np.unique(parts[INTERVAL[:2]].to_numpy(dtype=float)))
+    while len(rows) > MOST_ROWS:
+        rows = _overview_rows(intervals, np.append(np.arange(0.0, length - 1e-9, width), length))
+        width *= 2.0
+    return pd.DataFrame(rows, columns=[*INTERVAL, "share"])
+
+
+def _overview_rows(intervals: Sequence[pd.DataFrame], edges: FloatArray) -> list[tuple[float, float, str, float]]:
+    parts = pd.concat(list(intervals))
+    rows: list[tuple[float, float, str, float]] = []
+    shares = share_to_repeat(intervals, edges).tolist() if len(edges) else []
+    for begin, end, share in zip(edges[:-1].tolist(), edges[1:].tolist(), shares, strict=True):
+        reasons = parts.loc[(parts["from_m"] < end) & (parts["to_m"] > begin), "reason"]
+        reason = AND.join(name for name in REASONS if reasons.str.contains(name).any())
+        if rows and rows[-1][1:] == (begin, reason, share):
+            rows[-1] = rows[-1][0], end, reason, share
+        elif share > 0.0:
+            rows.append((begin, end, reason, share))
+    return rows
+
+
+def quiet_feeds(stretches: Stretches, context: Context, config: TaskConfig, vibration: VibrationMap) -> FloatArray:
+    """(n,) fastest feed [m/s] at which each stretch is expected within the vibration limit in a tube.
+
+    log10 of the expected vibration is the mean of the map, raised by its standard deviation or by what was measured
+    above its mean, if that is more. Feeds above the driven one are not considered. Where no feed is quiet it is the
+    slowest of the map; so it is where vibration was above the limit, if the map predicts another vibration measure.
+    """
+    (slowest, fastest), count = feeds(config), len(stretches.begin)
+    if vibration.measure != config.vibration_measure:
+        return np.where(stretches.reasons(config)[NOISE], slowest, fastest)
+    grid, middle = np.geomspace(slowest, fastest, QUIET_FEEDS), 0.5 * (stretches.begin + stretches.end)
+    driven = np.where(np.isfinite(stretches.feed), stretches.feed, fastest)
+    length, air = (np.repeat(values, QUIET_FEEDS + 1) for values in (middle, _air_of(stretches, config)))
+    feed = np.column_stack([np.tile(grid, (count, 1)), driven]).ravel()
+    tubes = np.tile([getattr(context, name) for name in CONTEXT], (len(feed), 1))
+    prediction = vibration.predict(length, feed, air, tubes, config.scene)
+    mean, deviation = (values.reshape(count, -1) for values in prediction)
+    with np.errstate(divide="ignore"):
+        measured = np.log10(stretches.vibration / 1e-4) - mean[:, -1]
+    level = mean[:, :-1] + np.fmax(measured[:, None], deviation[:, :-1])
+    quiet = (level <= np.log10(rms_limit(config) / 1e-4)) & (grid <= driven[:, None])
+    return np.asarray(np.where(quiet, grid, slowest).max(axis=1))
+
+
+def _air_of(stretches: Stretches, config: TaskConfig) -> FloatArray:
+    """Air supply (n,) [m3/s]; where there is none, the last before it or the most."""
+    return pd.Series(stretches.air).ffill().fillna(config.air_supply_rates[1]).to_numpy()
+
+
+def repeat_schedule(
+    cases: Sequence[tuple[Stretches, pd.DataFrame, Context]],
+    config: TaskConfig,
+    vibration: VibrationMap,
+    time_lapse: float = 1.0,
+) -> Schedule:
+    """Schedule of a pass that inspects only the intervals to repeat of some tubes, at least one interval.
+
+    Elsewhere it has the fastest feed. Inside, it has the permitted feed; where the reason is not only the speed, at
+    most the slowest of the tubes' ``quiet_feeds``, from ``SETTLING`` before the interval on. It brakes before that, by
+    the ramp and within one control period. The air is the mean of the tubes', and the most from the first metre with
+    lost drive on.
+
+    Args:
+        cases: stretches, intervals and tube of each insertion.
+        config: task.
+        vibration: vibration map.
+        time_lapse: of the simulation in which the schedule is played.
+    """
+    (slowest, fastest), step = config.feed_speeds, config.feed_speed_step
+    first, end = min(part[0].begin[0] for part in cases), max(part[0].end[-1] for part in cases)
+    at = GRID * np.arange(math.floor(first / GRID), math.ceil(end / GRID - 1e-9))  # each is valid up to the next one
+    feed, airs, lost = np.full(len(at), fastest), [], np.zeros(len(at), dtype=bool)
+    for stretches, intervals, context in cases:
+        piece = np.searchsorted(stretches.end, at + 0.5 * GRID).clip(max=len(stretches.end) - 1)
+        quiet = np.minimum(quiet_feeds(stretches, context, config, vibration), config.permitted_feed)[piece]
+        for begin, to, reason in intervals.itertuples(index=False):
+            slow = np.full(len(at), config.permitted_feed) if reason == SPEED else quiet
+            ahead = 0.0 if reason == SPEED else SETTLING * time_lapse * slow[max(np.searchsorted(at, begin) - 1, 0)]
+            inside = (at > begin - ahead - GRID) & (at < to - 1e-9)
+            feed[inside] = np.minimum(feed, slow)[inside]
+            lost |= inside & (DRIVE in reason)
+        airs.append(_air_of(stretches, config)[piece])
+    if step > 0.0:
+        feed = np.maximum(step * np.floor(feed / step * (1.0 + 1e-9)), slowest)
+    points = math.ceil(fastest * config.period * (1 + config.delay_periods) / GRID)  # in a period
+    feed = np.array([feed[k : k + points + 1].min() for k in range(len(feed))])
+    for k in range(len(feed) - 2, -1, -1):
+        feed[k] = min(feed[k], math.sqrt(feed[k + 1] ** 2 + 2.0 * config.ramp * GRID / time_lapse))
+    air = np.where(np.maximum.accumulate(lost), config.air_supply_rates[1], np.mean(airs, axis=0))
+    changed = (np.diff(feed, prepend=np.nan) != 0.0) | (np.diff(air, prepend=np.nan) != 0.0)
+    position, feeds_of, airs_of = (tuple(values[changed].tolist()) for values in (np.round(at, 6), feed, air))
+    return Schedule("inserted_length", "steps", position, feeds_of, airs_of)

@@ -1,0 +1,218 @@
+"""Evaluates policies on the same tubes: means, paired differences, tables and a report."""
+
+from __future__ import annotations
+
+import errno
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Literal
+
+import pandas as pd
+from pydantic import ValidationError
+
+from probe_agents.evaluation.folder import ReportSettings, is_evaluation, read_evaluation
+from probe_agents.evaluation.kpis import SCORED_PASSES, displayed_kpis
+from probe_agents.evaluation.plan import Plan, run_plan
+from probe_agents.evaluation.repeat import by_policy, cases_of, is_judged
+from probe_agents.evaluation.report import ended, verdict_lines
+from probe_agents.evaluation.report import write_report as write_report
+from probe_agents.evaluation.statistics import (
+    BUNDLE_HEADER,
+    Interval,
+    bundle_rows,
+    bundle_table,
+    comparison_lines,
+    endings,
+    grouped,
+    method_and_seed,
+    short,
+    strain_lines,
+    summarise,
+)
+from probe_agents.evaluation.workers import HERE, Workers
+from probe_agents.policies.cases import EvaluationCase, load_case
+from probe_agents.policies.catalogue import domains_of, is_schedule_file, name_and_spec, named_policies, user_policies
+from probe_agents.policies.policy import check_domains
+from probe_agents.policies.wrappers import RoundTripPolicy, SpeedLimited
+from probe_agents.records.manifest import write_json
+from probe_agents.terminal.tables import print_line, print_table
+from probe_env.envs.contexts import Split
+from probe_env.envs.env import check_tubes
+from probe_env.envs.episodes.starts import EpisodeSampler, Probes, settling
+from probe_env.envs.trials import PlanningPolicy
+from probe_env.fidelity import Fidelity, resolve_fidelity
+from probe_env.settings import explain
+
+
+def evaluate(
+    policies: Sequence[str],
+    output: Path | None = None,
+    *,
+    tube: Path | None = None,
+    contexts: Split = "test",
+    limit: int = 0,
+    seeds: int = 1,
+    fidelity: str | Fidelity = "standard",
+    probes: Probes = "scene",
+    passes: Literal["in", "both"] | None = None,
+    inspects: Literal["in", "back", "best"] | None = None,
+    against: str | None = None,
+    strict: bool = False,
+    workers: Workers = HERE,
+) -> pd.DataFrame:
+    """Evaluate policies on the same tubes and seeds; returns KPIs with one row per episode.
+
+    Args:
+        policies: names, schedule files, feedback laws or agents' bundles, see ``catalogue.make_policy``.
+        output: folder of the tables and the report; stored episodes are not run again; None: no files.
+        tube: file or name of a plant; None: the shipped lists of tubes.
+        contexts: shipped list of tubes.
+        limit: number of tubes, the first of the list; 0: all.
+        seeds: number of seeds of sensor noise and start for every tube.
+        fidelity: preset or settings of the simulation.
+        probes: "scene", or "random" for a random probe in every tube and seed.
+        passes: "in", or "both" for insertion and withdrawal; default: as in the tube's file.
+        inspects: the pass that is scored with both passes; default: the better one in each metre.
+        against: reference policy of the comparison; default: the first.
+        strict: raise if a policy was not made for these tubes, instead of a warning.
+        workers: workers that run the episodes.
+
+    Raises:
+        ValueError: an argument is not valid; nothing was run.
+        FileNotFoundError: no such file.
+    """
+    case = load_case(tube, contexts, limit, passes, inspects)
+    plan = plan_of(policies, case, seeds, fidelity, probes, strict)
+    if output is None:
+        return run_plan(plan, None, workers=workers)
+    return evaluate_plan(plan, output, against, workers, user_policies(policies))
+
+
+def plan_of(
+    specs: Sequence[str],
+    case: EvaluationCase,
+    seeds: int,
+    fidelity: str | Fidelity,
+    probes: Probes = "scene",
+    strict: bool = False,
+) -> Plan:
+    """The plan of named policies on the tubes of a case; warns about policies that were not made for them.
+
+    Raises:
+        ValueError: an argument is not valid, no episode can begin, or ``strict`` and a policy is out of its range.
+    """
+    if not 1 <= seeds <= 1000:
+        raise ValueError(f"seeds = {seeds!r} is outside the accepted range 1 to 1000")
+    config = case.config.full_observation
+    policies = named_policies(specs, config, case.vibration, classes=True)
+    inner = {name: p.insertion if isinstance(p, RoundTripPolicy) else p for name, p in policies.items()}
+    check_domains(domains_of(specs, inner), config, case.contexts, strict)
+    if config.permitted_feed < config.feed_speeds[1]:  # schedule files are played as written, and judged
+        as_written = {name_and_spec(spec)[0] for spec in specs if is_schedule_file(spec)}
+        policies = {
+            name: policy if name in as_written or isinstance(policy, PlanningPolicy) else SpeedLimited(config, policy)
+            for name, policy in policies.items()
+        }
+    sampler = EpisodeSampler(config, case.contexts, probes, *settling(config, {}))
+    chosen = resolve_fidelity(fidelity, sampler.stiffest, config.growing, config.returns)
+    bundle = case.plant.bundle_for(config) if case.plant else None
+    plan = Plan(policies, case.contexts, range(seeds), config, chosen, probes, case.vibration, bundle)
+    if plan.probes == "random":  # drawn when an episode starts
+        return plan
+    try:
+        check_tubes(sampler, case.contexts, chosen, case.vibration)
+    except ValueError as error:
+        raise ValueError(
+            f"{case.plant_label.name}: {explain(error) if isinstance(error, ValidationError) else error}"
+        ) from error
+    return plan
+
+
+def evaluate_plan(
+    plan: Plan, output: Path, against: str | None = None, workers: Workers = HERE, own: Sequence[str] = ()
+) -> pd.DataFrame:
+    """Run a plan in a folder, write tables, summary.csv, bundle.csv and report.html, and print the means.
+
+    Args:
+        plan: the evaluation; policies named NAME@K are training seeds of one method.
+        output: the folder.
+        against: reference policy of the comparison; default: the first.
+        workers: workers that run the episodes.
+        own: policies of the user, for the headline of the report; default: ``against``.
+
+    Raises:
+        ValueError: an argument is not valid; nothing was run.
+    """
+    report = report_settings(plan, against, own)
+    table = run_plan(plan, output, workers=workers, report=report)
+    write_report(output)
+    if plan.config.returns:
+        print(f"Insertion and withdrawal; scored is {SCORED_PASSES[plan.config.inspects]}")
+    print_summary(grouped(table), report.against)
+    if is_judged(plan.config):
+        done = read_evaluation(output)
+        cases = by_policy(cases_of(done.table, done.profile, plan.config))
+        for policy, text in verdict_lines(cases, plan.config).items():
+            print(f"{policy}: {text}")
+    print_bundle(bundle_table(grouped(table), plan.bundle))
+    files = "report.html, episodes.csv, episodes.parquet, profile.parquet, summary.csv"
+    print_line(f"written: {output}/ ({files}{', bundle.csv' if plan.bundle else ''})")
+    return table
+
+
+def report_settings(plan: Plan, against: str | None, own: Sequence[str]) -> ReportSettings:
+    """Reference policy and the user's policies for the report, by the names of methods.
+
+    Raises:
+        ValueError: no such policy.
+    """
+    methods = [method_and_seed(name)[0] for name in plan.policies]
+    reference = method_and_seed(against)[0] if against and against in plan.policies else against or methods[0]
+    if reference not in methods:
+        raise ValueError(f"against = {against!r} is not one of the policies: {', '.join(plan.policies)}")
+    users = tuple(dict.fromkeys(method_and_seed(name)[0] for name in own))
+    return ReportSettings(against=reference, own=users, bundle=plan.bundle)
+
+
+def report_again(folder: Path, against: str | None = None) -> Path:
+    """Write the report of a stored or interrupted evaluation again; returns its path.
+
+    Raises:
+        FileNotFoundError: no evaluation is stored there.
+        ValueError: a file is damaged, or no such policy.
+    """
+    if not is_evaluation(folder):
+        raise FileNotFoundError(errno.ENOENT, "no evaluation is stored there", str(folder / "setting.json"))
+    if against is not None:
+        done = read_evaluation(folder)
+        policies = list(dict.fromkeys(done.table["policy"]))
+        if against not in policies:
+            raise ValueError(f"against = {against!r} is not one of the policies: {', '.join(policies)}")
+        report = ReportSettings(against=against, own=done.user_policies, bundle=done.bundle)
+        write_json(folder / "report.json", report.to_json())
+    return write_report(folder)
+
+
+def print_summary(table: pd.DataFrame, against: str) -> None:
+    """Print KPIs with intervals, how episodes ended and differences to a policy."""
+    labels, rows = displayed_kpis(table.columns), []
+    for policy, part in summarise(table).groupby("policy", sort=False):
+        figures, cells = part.set_index("kpi"), [str(policy)]
+        for kpi, (_, factor, _) in labels.items():
+            mean, low, high = figures.loc[[kpi], ["mean", "low", "high"]].to_numpy(dtype=float)[0].tolist()
+            cells.append(Interval(mean, low, high).text(factor) if low < high else short(mean * factor))
+        rows.append(cells)
+    header = ("policy", *(f"{name} [{unit}]" if unit else name for name, _, unit in labels.values()))
+    title = "Means with 95 % intervals over the contexts" if table["context"].nunique() > 1 else "Means in one tube"
+    print_table(title, header, rows)
+    for name, row in endings(table).iterrows():
+        print(f"{name}: {ended(row)}")
+    for line in (*strain_lines(table), *comparison_lines(table, against)):
+        print(line)
+
+
+def print_bundle(hours: pd.DataFrame) -> None:
+    """Print a ``bundle_table``; nothing if it is empty."""
+    if len(hours):
+        title = f"Hours for {hours['tubes'].iloc[0]} tubes with 95 % intervals"
+        print_table(title, BUNDLE_HEADER, bundle_rows(hours))

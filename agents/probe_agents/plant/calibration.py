@@ -1,0 +1,317 @@
+"""Calibration of a plant from its logs: ``calibration.json``, tables, figures and a check of the fit."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from probe_agents.plant.inference import (
+    LIMIT,
+    Case,
+    Gain,
+    Posterior,
+    Sliding,
+    fit_gain,
+    fit_sliding,
+    sample_posterior,
+)
+from probe_agents.plant.logs import read_log
+from probe_agents.plant.prior import UNKNOWNS, Prior, prior_of
+from probe_agents.plant.response import CHANNELS, Response, metres_of
+from probe_agents.records.quantities import HOUR
+from probe_agents.records.shipped import file_or_shipped
+from probe_agents.terminal.names import name_of, name_problem
+from probe_agents.terminal.tables import print_table, print_terms
+from probe_env import Plant
+from probe_env.files import FileError
+from probe_env.physics.model.chain import air_speed
+from probe_env.settings import within
+
+LEVEL: Final = 0.90
+"""Probability of the intervals."""
+AT_EDGE: Final = 0.06, 0.5
+"""A posterior is at its bound if more than the second share of it is within the first share of the range."""
+LABELS: Final = (
+    ("root tension [N]", 1.0),
+    ("radial acceleration rms [m/s²]", 1.0),
+    ("axial acceleration rms [m/s²]", 1.0),
+    ("radial rms by the noise [mm]", 1e3),
+)
+"""Label of each channel in a picture, and its scale."""
+BAND_DRAWS: Final = 64
+"""Draws in a picture of bands."""
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """Result of a calibration."""
+
+    prior: Prior
+    posterior: Posterior
+    sliding: dict[str, Sliding | None]  # tube -> estimate from the tension alone; None without a tension
+    outside: list[str]  # quantities of the logs outside the training ranges of the response, as texts
+    gains: list[Gain | None]  # of the tension gauge, per log; None without a tension
+
+    @property
+    def cases(self) -> Sequence[Case]:
+        """The logs."""
+        return self.posterior.likelihood.cases
+
+    def summary(self, name: str, tube: int | None = None) -> dict[str, float]:
+        """Mean and 90 % interval of an unknown, of one tube or over all tubes."""
+        column = list(UNKNOWNS).index(name)
+        draws = self.posterior.draws[:, :, column] if tube is None else self.posterior.draws[tube, :, column]
+        low, high = np.quantile(draws, [(1.0 - LEVEL) / 2.0, (1.0 + LEVEL) / 2.0])
+        return {"mean": float(draws.mean()), "low": float(low), "high": float(high)}
+
+    @property
+    def misfits(self) -> list[str]:
+        """Reasons why the model cannot have produced these logs, as texts; empty if it can."""
+        reasons, limits = [], self.posterior.likelihood.response.misfit
+        for case, misfit, gauge in zip(self.cases, self.posterior.misfit, self.gains, strict=True):
+            if gauge and gauge.ratio > LIMIT:
+                reasons.append(
+                    f"{case.name}: the root tension looks {abs(gauge.gain - 1.0):.0%} too"
+                    f" {'high' if gauge.gain > 1.0 else 'low'}: check the load cell's scale"
+                    f" (2 log likelihood ratio {gauge.ratio:.1f}, limit {LIMIT:g})"
+                )
+            for k, name in enumerate((*CHANNELS, "all channels together")):
+                if misfit[k] > limits[k]:
+                    reasons.append(
+                        f"{case.name}: {name.replace('_', ' ')} deviates by {np.sqrt(misfit[k]):.1f} standard"
+                        f" deviations (rms) from the model; 99 % of simulated logs are below {np.sqrt(limits[k]):.1f}"
+                    )
+        return reasons
+
+    @property
+    def at_bounds(self) -> list[str]:
+        """Unknowns whose posterior is at a bound of the prior, as texts."""
+        texts, (width, share) = [], AT_EDGE
+        for column, name in enumerate(UNKNOWNS):
+            if name in self.prior.fixed:
+                continue
+            low, high = self.prior.ranges[name]
+            at = (self.posterior.draws[:, :, column] - low) / (high - low)
+            for side, near in (("lower", at < width), ("upper", at > 1.0 - width)):
+                if near.mean() > share:
+                    texts.append(f"{UNKNOWNS[name].text} is at its {side} bound")
+        return texts
+
+    @property
+    def verdict(self) -> str:
+        """Whether the model fits the logs."""
+        if self.misfits:
+            return "misspecified: the model does not fit these logs at any friction - do not use these estimates"
+        if self.at_bounds:
+            return "doubtful: an estimate is at the bound of its range"
+        return "model and log agree"
+
+    def to_json(self) -> dict[str, Any]:
+        """``calibration.json``: estimates, draws, verdict."""
+        draws = self.posterior.draws
+        rows = np.arange(draws.shape[1])
+        turns = rows % len(draws)  # over all tubes: draws of each in turn
+        return {
+            **{name: self.summary(name) | {"unit": UNKNOWNS[name].unit} for name in UNKNOWNS},
+            "verdict": self.verdict,
+            "misspecified": bool(self.misfits),
+            "reasons": [*self.misfits, *self.at_bounds, *self.outside],
+            "tubes": {
+                tube: {
+                    "friction": self.summary("friction", k),
+                    "logs": [case.name for case in self.cases if case.tube == tube],
+                    "helix_diameter": next(c.scene.tube.helix_diameter for c in self.cases if c.tube == tube),
+                    "by_tension_alone": fit
+                    and {n: dict(zip(("mean", "low", "high"), v, strict=True)) for n, v in fit._asdict().items()},
+                }
+                for k, (tube, fit) in enumerate(self.sliding.items())
+            },
+            "held_possible": {name: list(range_) for name, range_ in self.prior.ranges.items()},
+            "known": self.prior.fixed,
+            "draws": {
+                name: [float(f"{v:.6g}") for v in draws[turns, rows, column]]
+                for column, name in enumerate(UNKNOWNS)
+                if name not in self.prior.fixed
+            },
+        }
+
+
+def read_cases(
+    paths: Sequence[Path],
+    plant: Plant,
+    helix_diameters: Sequence[float],
+    tubes: Sequence[str],
+    columns: Sequence[str],
+    missing: Sequence[str] = (),
+    time_format: str = "",
+) -> list[Case]:
+    """Read the logs and assign their tubes; all arguments are checked before the first log is read.
+
+    Raises:
+        FileNotFoundError: no such file.
+        ValueError: a log cannot be read; the number of diameters or names differs from that of the logs; a diameter is
+            not one of the plant's.
+    """
+    if not paths:
+        raise ValueError("logs: at least one is needed")
+    diameters = list(helix_diameters) or list(plant.diameters)
+    if len(diameters) == 1:
+        diameters *= len(paths)
+    if len(diameters) != len(paths):
+        what = "--helix-diameters" if helix_diameters else "tube.helix_diameter"
+        hint = "give --helix-diameters, one for all or one each [m]"
+        raise ValueError(f"{what}: {len(diameters)} for {len(paths)} logs: {hint}")
+    for diameter in diameters:
+        within("helix_diameter", diameter, 0.3, 1e4, "m")
+        if len(plant.diameters) > 1 and not any(abs(diameter - other) < 1e-6 for other in plant.diameters):
+            listed = ", ".join(f"{other:g}" for other in plant.diameters)
+            raise ValueError(f"--helix-diameters: {diameter:g} m is none of the plant's: {listed} m")
+    names = list(tubes) or [f"{diameter:g} m" for diameter in diameters]
+    if len(names) != len(paths):
+        raise ValueError(f"--tubes: {len(names)} names for {len(paths)} logs: give one for each log")
+    for name in names:
+        if problem := name_problem(name):
+            raise ValueError(f"--tubes: {name[:100]!r} {problem}")
+        distinct = sorted({diameter for diameter, other in zip(diameters, names, strict=True) if other == name})
+        if len(distinct) > 1:
+            listed = " and ".join(f"{d:g}" for d in distinct)
+            raise ValueError(f"--tubes: {name!r} has helix diameters of {listed} m: a tube has one")
+    files = [file_or_shipped("logs", path) for path in paths]
+    labels = [name_of(file) for file in files]
+    labels = labels if len(set(labels)) == len(labels) else [str(path) for path in paths]
+    cases = []
+    for label, file, tube, diameter in zip(labels, files, names, diameters, strict=True):
+        scene = plant.scene.model_copy(update={"tube": {"helix_diameter": diameter}})
+        log = read_log(file, columns, missing=missing, time_format=time_format)
+        metres = metres_of(log)
+        least = metres.feed / air_speed(scene, 1.0)
+        if (slow := metres.air <= least).any():
+            k = int(slow.argmax())
+            problem = f"air_supply = {HOUR * metres.air[k]:.4g} m3/h at an inserted length of {metres.length[k]:g} m"
+            hint = f"calibration needs air that is faster than the feed, there more than {HOUR * least[k]:.3g} m3/h"
+            raise FileError(file, f"{problem}: {hint} - is the column or its unit wrong?")
+        cases.append(Case(label, tube, scene, metres))
+    return cases
+
+
+def calibrate(
+    cases: Sequence[Case], plant: Plant, response: Response, file: str = "tube", progress: bool = True
+) -> Calibration:
+    """Estimate the friction of each tube, and the stiffness, drag and damping that all tubes share.
+
+    Raises:
+        ValueError: a log has too few metres or no channel, or a value of the plant is outside the training ranges.
+    """
+    prior = prior_of(plant, file)
+    posterior = sample_posterior(response, cases, prior, progress=progress)
+    outside = [f"{c.name}: {text}" for c in cases for text in response.outside(c.metres, c.scene)]
+    sliding = {tube: fit_sliding([c for c in cases if c.tube == tube], prior) for tube in posterior.likelihood.tubes}
+    gains = [fit_gain(posterior.likelihood, number, prior) for number in range(len(cases))]
+    return Calibration(prior, posterior, sliding, outside, gains)
+
+
+def print_calibration(calibration: Calibration, with_file: bool = True) -> None:
+    """Print estimates, intervals and the verdict; ``with_file``: whether a file describes the tubes."""
+    prior = calibration.prior
+    estimates: list[tuple[str, Sequence[float], str]] = []
+    for k, (tube, sliding) in enumerate(calibration.sliding.items()):
+        where = f" in {tube}" if len(calibration.sliding) > 1 else ""
+        estimates.append((f"friction{where}", [*calibration.summary("friction", k).values()], ""))
+        if sliding:
+            estimates.append((f"friction{where} by the tension alone", sliding.friction, ""))
+    for name, unknown in UNKNOWNS.items():
+        if name in prior.quantile and name != "friction":
+            estimates.append((unknown.text, [*calibration.summary(name).values()], unknown.unit))
+    rows = [(text, *(f"{value:.4g}" for value in values), unit) for text, values, unit in estimates]
+    print_table("Estimates: means with 90 % intervals", ("", "mean", "low", "high", "unit"), rows, left=1)
+    logs = (
+        f"{case.name}: {len(case.metres)} metres, {', '.join(name.replace('_', ' ') for name in case.metres.measured)}"
+        for case in calibration.cases
+    )
+    geometry = dict.fromkeys(
+        f"bore {1e3 * case.scene.tube.inner_diameter:g} mm, helix of {case.scene.tube.helix_diameter:g} m, floats of"
+        f" {1e3 * case.scene.probe.carrier_float_diameter:g} mm"
+        for case in calibration.cases
+    )
+    terms = {"logs": "; ".join(logs), "geometry": "; ".join(geometry)}
+    if not with_file:
+        terms["geometry"] += ". This is table 2 of the study: give yours by --tube, since friction depends on it"
+    if prior.assumed:
+        terms["assumed"] = "not in the tube file: " + "; ".join(prior.assumed)
+    if prior.fixed:
+        fixed = (f"{UNKNOWNS[name].text} {value:g} {UNKNOWNS[name].unit}" for name, value in prior.fixed.items())
+        terms["fixed"] = "in the tube file: " + "; ".join(text.strip() for text in fixed)
+    outside = (f"outside the training range of the response: {text}" for text in calibration.outside)
+    print_terms({"verdict": calibration.verdict})
+    for text in (*calibration.misfits, *calibration.at_bounds, *outside):
+        print_terms({"note": text})
+    print_terms(terms)
+
+
+def draw_corner(calibration: Calibration, path: Path) -> Path:
+    """Draw a corner plot of the friction of every tube and the shared unknowns."""
+    import corner
+
+    from probe_agents.records.drawing import BLUE, escape_dollars, save
+
+    draws, columns, labels = calibration.posterior.draws, [], []
+    for column, name in enumerate(UNKNOWNS):
+        if name in calibration.prior.fixed:
+            continue
+        several = name == "friction" and len(draws) > 1
+        for k, tube in enumerate(calibration.sliding if several else ("",)):
+            columns.append(draws[k, :, column])
+            unit = f" [{UNKNOWNS[name].unit}]" if UNKNOWNS[name].unit else ""
+            labels.append(UNKNOWNS[name].text + (f"\n{escape_dollars(tube)}" if several else "") + unit)
+    before, small = logging.root.manager.disable, {"fontsize": 9}
+    logging.disable(logging.WARNING)  # corner warns the root logger where draws are too few for contours
+    style = {"color": BLUE, "label_kwargs": small, "title_kwargs": small, "title_fmt": ".3g", "show_titles": True}
+    try:
+        figure = corner.corner(np.column_stack(columns), labels=labels, quantiles=(0.05, 0.5, 0.95), **style)
+    finally:
+        logging.disable(before)
+    figure.set_size_inches(2.2 * len(columns) + 1.0, 2.2 * len(columns) + 1.0)
+    return save(figure, path)
+
+
+def draw_bands(calibration: Calibration, path: Path) -> Path:
+    """Draw every channel of every log over length, with the predicted 90 % band."""
+    from matplotlib.figure import Figure
+
+    from probe_agents.records.drawing import BLUE, GREY, GRID, escape_dollars, save
+
+    likelihood, cases = calibration.posterior.likelihood, calibration.cases
+    present = [name for name in CHANNELS if any(name in case.metres.measured for case in cases)]
+    figure = Figure(figsize=(4.6 * len(cases) + 1.0, 2.1 * len(present) + 0.6), layout="constrained")
+    axes = figure.subplots(len(present), len(cases), squeeze=False, sharex="col", sharey="row")
+    rng = np.random.default_rng(0)
+    for number, case in enumerate(cases):
+        draws = calibration.posterior.draws[likelihood.tube_indices[number]]
+        table = draws[rng.choice(len(draws), min(BAND_DRAWS, len(draws)), replace=False)]
+        deviations, spread = likelihood.deviations(number, table)
+        mean = likelihood.observed[number] - deviations * spread
+        sample = 10.0 ** (mean + spread * rng.normal(size=mean.shape))
+        low, middle, high = np.quantile(sample, [0.05, 0.5, 0.95], axis=0)
+        names = [CHANNELS[k] for k in likelihood.chosen[number]]
+        for axis, name in zip(axes[:, number], present, strict=True):
+            axis.grid(**GRID)
+            label, scale = LABELS[CHANNELS.index(name)]
+            if number == 0:
+                axis.set_ylabel(label, fontsize=8)
+            if name not in names:
+                continue
+            column, x = names.index(name), case.metres.length
+            axis.fill_between(x, scale * low[:, column], scale * high[:, column], color=BLUE, alpha=0.2, linewidth=0)
+            axis.plot(x, scale * middle[:, column], color=BLUE, linewidth=1.0, label="expected, with 90 %")
+            axis.plot(x, scale * case.metres.measured[name], ".", color="black", markersize=3.0, label="log")
+            if name != "root_tension":
+                axis.set_yscale("log")
+        axes[0][number].set_title(escape_dollars(case.name), fontsize=9, color=GREY)
+        axes[-1][number].set_xlabel("inserted length [m]")
+    axes[0][0].legend(fontsize=7, loc="best")
+    return save(figure, path)

@@ -1,0 +1,279 @@
+"""Repairs of a recorded log, which are bounded and counted, and thinning to fewer rows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from probe_agents.records.quantities import QUANTITIES, plain, split_head
+from probe_agents.records.reader import Channels, IntArray, Table
+from probe_agents.records.times import DAY
+from probe_env.arrays import FloatArray
+from probe_env.files import FileError
+from probe_env.schedule import POSITIONS
+from probe_env.settings import within
+
+Band = tuple[FloatArray, FloatArray]
+NOISE: Final = "rf_noise_rms"
+DIGITS: Final = 6
+"""Decimals of seconds and metres in the clean file."""
+USUAL_SPACING: Final = 2.5
+"""Shortest gap in time, in units of the median time step."""
+AGREEMENT: Final = 0.05, 0.02
+"""Accepted difference of the integrated speed from the encoder [m], and as a share of the length."""
+STANDSTILL: Final = 2e-3
+"""Speed below which the probe is at a standstill [m/s]: a tenth of the slowest feed of the task."""
+DWELL: Final = 1.0
+"""Duration of the shortest standstill [s]."""
+WRONG_UNIT: Final = 10.0
+"""Ratio of the encoder's motion to the integrated speed from which a unit is wrong."""
+SHORTEST: Final = 1.0
+"""Duration of the shortest log [s]; less has another unit of time."""
+ROUNDS: Final = 12
+"""Rounds of the search for the worst rows; later rounds also halve the intervals, so that the search ends."""
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """Limits of the repairs; a log beyond them is refused."""
+
+    gap: float = 5.0  # in time, interpolated [s]
+    backward: float = 0.02  # backward motion of the encoder that counts as noise [m]
+    start_length: float = 5.0  # inserted length at the start of a log without an encoder [m]
+    tolerance: float = 1e-3  # error of the inserted length after thinning [m]
+    every: float = 1.0  # longest time between rows of the clean log [s]
+
+    def __post_init__(self) -> None:
+        within("gap", self.gap, 1e-3, 3600.0, "s")
+        within("backward", self.backward, 0.0, 1.0, "m")
+        within("start_length", self.start_length, 0.0, 1e3, "m")
+        within("tolerance", self.tolerance, 1e-5, 0.1, "m")
+        within("every", self.every, 1e-3, 3600.0, "s")
+        if self.every > self.gap:
+            problem = f"every = {self.every:g} s is more than gap = {self.gap:g} s"
+            raise ValueError(f"{problem}, and the clean file could not be read")
+
+
+@dataclass
+class Repairs:
+    """Counts of repairs."""
+
+    rows: int  # of the file
+    untimed: int = 0  # rows without a time, dropped
+    duplicates: int = 0  # rows at the time of the row before, averaged with it
+    gaps: int = 0  # in time, interpolated
+    longest_gap: float = 0.0  # [s]
+    missing: int = 0  # values, interpolated
+    backward: int = 0  # rows with a smaller encoder length than an earlier row
+    most_backward: float = 0.0  # [m]
+
+
+@dataclass(frozen=True)
+class CleanLog:
+    """A repaired log at its original rows.
+
+    ``band`` has the smallest length from each row on and the largest up to it, the range of the encoder's noise. Both
+    equal the length where it increases.
+    """
+
+    time: FloatArray  # (n,) seconds from the first, strictly rising
+    length: FloatArray  # (n,) inserted length [m], never falling
+    band: Band  # (n,) each [m]
+    values: dict[str, FloatArray]  # measured quantities and the air supply, (n,) [SI]
+    repairs: Repairs
+    notes: tuple[str, ...]  # messages about contradictions in the log
+    rows: IntArray  # (n,) index of the row of the table
+    gaps: FloatArray  # (g, 2) begin and end of gaps in time and of missing eddy-current noise [s]
+
+
+def clean(channels: Channels, bounds: Bounds) -> CleanLog:
+    """Repair a log within the bounds.
+
+    Raises:
+        FileError: a repair is outside the bounds; names lines, column and value.
+    """
+    table = channels.table
+    timed = np.flatnonzero(~np.isnan(channels.time))
+    time, values, rows = _merged(channels, timed, bounds)
+    steps = np.diff(time)
+    _check_gaps(table, rows, steps, "no rows", bounds.gap)
+    usual = max(float(np.median(steps)), bounds.every if table.steps else 0.0)
+    gap = steps > USUAL_SPACING * usual
+    long = steps[gap]
+    if NOISE in values:  # a row is valid until the next one
+        gap |= np.isnan(values[NOISE][:-1])
+    gaps = np.column_stack([time[:-1], time[1:]])[gap]
+    count = len(table.lines)
+    repairs = Repairs(count, count - len(timed), len(timed) - len(rows), len(long), float(long.max(initial=0.0)))
+    notes = channels.notes
+    for name, column in list(values.items()):
+        repairs.missing += int(np.isnan(column).sum())
+        try:
+            values[name] = _bridged(channels, name, time, column, rows, bounds.gap)
+        except FileError as error:
+            if name != "feed_speed" or "inserted_length" not in values:
+                raise
+            notes += (f"Left out, as there is an encoder: the feed speed, {error.problem}.",)
+            values.pop(name)
+    speed, encoder = values.pop("feed_speed", None), values.pop("inserted_length", None)
+    length = encoder
+    if speed is not None:
+        means = speed[:-1] if table.steps else 0.5 * (speed[1:] + speed[:-1])
+        fed = np.concatenate([[0.0], np.cumsum(means * steps)])
+        if length is None:
+            length = bounds.start_length + fed
+        else:
+            by_encoder, (absolute, relative) = length - length[0], AGREEMENT
+            if by_encoder[-1] > WRONG_UNIT * fed[-1] > WRONG_UNIT * absolute:
+                problem = f"the encoder moves {by_encoder[-1]:.4g} m, and speed times time is {fed[-1]:.4g} m"
+                hint = "is the unit of time, length or speed right? --columns 'HEAD=none' leaves the speed out"
+                raise table.error(rows[-1], f"{problem}: {hint}", channels.indices["feed_speed"])
+            excess = np.abs(fed - by_encoder) - (absolute + relative * np.abs(by_encoder))
+            if excess[k := int(excess.argmax())] > 0.0:
+                notes += (
+                    f"The speed column and the encoder disagree: {fed[k]:.4g} m and {by_encoder[k]:.4g} m up to"
+                    f" {time[k]:.4g} s differ by more than {absolute:g} m and {100 * relative:g} %;"
+                    " the encoder is used.",
+                )
+    assert length is not None  # the log has one of both
+    high = np.maximum.accumulate(length)
+    backward, most = high - length, POSITIONS["inserted_length_m"][1]
+    if (moving_back := backward > bounds.backward).any():
+        row = int(moving_back.argmax())
+        problem = (
+            f"the probe moves back to {length[row]:.6g} m from {high[row]:.6g} m, more than the {bounds.backward:g} m"
+        )
+        hint = "that count as noise - a log must be of an insertion: cut the file there, or raise --backward"
+        name = "feed_speed" if encoder is None else "inserted_length"
+        raise table.error(rows[row], f"{problem} {hint}", channels.indices[name])
+    if length.max() > most:
+        raise table.error(rows[int(length.argmax())], f"a length of {length.max():.6g} m is more than {most:g} m")
+    low = np.minimum.accumulate(length[::-1])[::-1]
+    repairs.backward, repairs.most_backward = int((backward > 0.0).sum()), float(backward.max())
+    rising = np.where(low == high, length, 0.5 * (low + high))  # the middle of the band
+    return CleanLog(time, rising, (low, high), values, repairs, notes, rows, gaps)
+
+
+def _merged(channels: Channels, rows: IntArray, bounds: Bounds) -> tuple[FloatArray, dict[str, FloatArray], IntArray]:
+    """Time from 0, values averaged over rows of equal time, and the first row of each, for the rows with a time."""
+    table, k = channels.table, channels.indices["time"]
+    if len(rows) < 2:
+        problem = f"{len(rows)} rows have a time" if len(rows) else "the whole column is empty"
+        raise table.error(0, f"{problem}: at least two rows with a time are needed", k)
+    number = not channels.written_out
+    unit = f"is the unit of time right? - declare it, --columns '{plain(split_head(table.heads[k])[0])}=time[UNIT]'"
+    time = np.round(channels.time[rows] - channels.time[rows[0]], DIGITS)
+    steps, most = np.diff(time), POSITIONS["time_s"][1]
+    if steps.min() < 0.0:
+        row = int((steps < 0.0).argmax()) + 1
+        cell = table.columns[k][rows[row]].as_py()
+        problem = f"the time {cell[:40]!r} is {-steps[row - 1]:.6g} s before the row above"
+        half_day = channels.written_out and abs(steps[row - 1] + 0.5 * DAY) < 60.0
+        hint = "a 12-hour clock without AM or PM? Export it with 24 hours" if half_day else "sort or cut the file"
+        raise table.error(rows[row], f"{problem}: {hint}", k)
+    if time[-1] == 0.0:
+        raise table.error(rows[-1], "the time never changes: is this the column of time?", k)
+    if time[-1] > most:
+        problem = f"{time[-1]:.6g} s are more than {most:g} s: cut the log, or check the unit of time"
+        raise table.error(rows[-1], problem, k)
+    if time[-1] < SHORTEST:
+        problem = f"the whole log lasts {time[-1]:.6g} s, less than {SHORTEST:g} s"
+        raise table.error(rows[-1], problem + f": {unit} (d, h or min)" * number, k)
+    if number and np.median(steps) > bounds.gap:
+        problem = f"most rows are {np.median(steps):.6g} s apart or more, and {bounds.gap:g} s are interpolated: {unit}"
+        raise table.error(rows[1], f"{problem}, or raise --gap", k)
+    first = np.flatnonzero(np.diff(time, prepend=-1.0) > 0.0)
+    means = {n: group_means(v[rows], first, QUANTITIES[n].rms) for n, v in channels.values.items()}
+    return time[first], means, rows[first]
+
+
+def group_means(values: FloatArray, first: IntArray, rms: bool) -> FloatArray:
+    """Means, or root mean squares, of groups that begin at the rows ``first``; NaN if all values are missing."""
+    if len(first) == len(values):
+        return values
+    valid = ~np.isnan(values)
+    powers = np.where(valid, values**2 if rms else values, 0.0)
+    with np.errstate(invalid="ignore"):
+        means = np.add.reduceat(powers, first) / np.add.reduceat(valid.astype(float), first)
+    return np.asarray(np.sqrt(means) if rms else means)
+
+
+def _check_gaps(table: Table, rows: IntArray, duration: FloatArray, problem: str, gap: float) -> None:
+    """Raise FileError for a duration (n - 1,) longer than ``gap`` [s] between rows (n,)."""
+    if duration.max() > gap:
+        k = int(duration.argmax())
+        problem = f"{problem} for {duration[k]:.6g} s, more than the {gap:g} s that are interpolated"
+        raise table.error_between(rows[k], rows[k + 1], f"{problem} - cut the file there, or raise --gap")
+
+
+def _bridged(
+    channels: Channels, name: str, time: FloatArray, column: FloatArray, rows: IntArray, gap: float
+) -> FloatArray:
+    """A column (n,) with missing values interpolated, at its ends by the nearest value."""
+    valid = np.flatnonzero(~np.isnan(column))
+    if len(valid) == len(column):
+        return column
+    table, k = channels.table, channels.indices[name]
+    if not len(valid):
+        raise table.error(0, "no value in the whole column", k)
+    edges = np.concatenate([[0], valid, [len(column) - 1]])
+    duration = np.where(np.diff(edges) > 1, np.diff(time[edges]), 0.0)
+    _check_gaps(table, rows[edges], duration, f"column {table.heads[k]!r} has no values", gap)
+    return np.asarray(np.interp(time, time[valid], column[valid]))
+
+
+def standstills_of(time: FloatArray, length: FloatArray, band: Band, tolerance: float) -> tuple[FloatArray, IntArray]:
+    """The non-decreasing length (n,) with constant standstills, and the first and last rows of the standstills.
+
+    In a standstill the probe moves slower than ``STANDSTILL`` for ``DWELL``, and for at least half of that time its
+    median position is within the band and the tolerance [m]; so slow creep is no standstill.
+    """
+    low, high = band
+    slow = (np.interp(time + DWELL, time, length) - length < STANDSTILL * DWELL) & (time + DWELL <= time[-1])
+    edges = np.flatnonzero(np.diff(slow.astype(np.int8), prepend=0, append=0))
+    still, ends = length.copy(), [0]
+    for first, end in zip(edges[::2], edges[1::2], strict=True):
+        last = int(np.searchsorted(time, time[end - 1] + DWELL, side="right")) - 1
+        median = np.median(length[first : last + 1])
+        begin = first + int(np.searchsorted(high[first : last + 1], median - tolerance, side="left"))
+        until = first + int(np.searchsorted(low[first : last + 1], median + tolerance, side="right")) - 1
+        begin = max(begin, ends[-1])  # a standstill may begin within a second of the previous one
+        if time[until] - time[begin] >= max(DWELL, 0.5 * (time[last] - time[first])):
+            still[begin : until + 1] = max(median, still[begin - 1] if begin else median)
+            ends += [begin, until]
+    return np.maximum.accumulate(still), np.array(ends[1:], dtype=np.int64)
+
+
+def outside(time: FloatArray, rows: IntArray, length: FloatArray, band: Band) -> FloatArray:
+    """Distance (n,) of the linear interpolation between ``rows`` of a length (n,) from a band [m]; 0 inside."""
+    line = np.interp(time, time[rows], length[rows])
+    return np.asarray(np.maximum(0.0, np.maximum(line - band[1], band[0] - line)))
+
+
+def thin_rows(
+    time: FloatArray, length: FloatArray, band: Band, ends: IntArray, tolerance: float, every: float
+) -> IntArray:
+    """Rows (m,) whose linear interpolation is within ``tolerance`` [m] of the band, at most ``every`` [s] apart.
+
+    ``ends``, the first and last rows of standstills, are always included; rows of the file may be further apart.
+    """
+    regular, end = [0], len(time) - 1
+    while regular[-1] < end:
+        reached = int(np.searchsorted(time, time[regular[-1]] + every * (1.0 + 1e-9), side="right")) - 1
+        regular.append(max(reached, regular[-1] + 1))
+    rows = np.unique(np.concatenate([ends, regular]))
+    for number in range(len(time)):
+        error = outside(time, rows, length, band)
+        worst = np.maximum.reduceat(error, rows)[:-1]
+        bad = worst > tolerance
+        if not bad.any():
+            break
+        worst_rows = np.flatnonzero(error > tolerance)
+        worst_rows = worst_rows[error[worst_rows] == worst[np.searchsorted(rows, worst_rows, side="right") - 1]]
+        more = [rows, worst_rows]
+        if number >= ROUNDS:
+            more.append((rows[:-1][bad] + rows[1:][bad]) // 2)
+        rows = np.unique(np.concatenate(more))
+    return rows

@@ -1,0 +1,424 @@
+"""Recommended schedules, feedback laws and safe air: least expected cost over samples of a plant's unknowns.
+
+Feed and air at every few metres follow from dynamic programming over the cost per metre. A cost of changes makes the
+schedule smooth; settings with too little tension in too many samples are excluded.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from bisect import bisect_right
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Final, NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from probe_agents.evaluation.run import evaluate_plan, plan_of
+from probe_agents.evaluation.workers import HERE, Workers
+from probe_agents.plant.prior import UNKNOWNS
+from probe_agents.plant.response import CHANNELS, Metres, Response, steady_tension
+from probe_agents.policies.cases import load_case
+from probe_agents.policies.catalogue import name_and_spec
+from probe_agents.policies.law import Law, OfDiameter
+from probe_agents.policies.on_map import FIRST, SPACING
+from probe_agents.policies.policy import OutsideDomain
+from probe_agents.records.atomic import write_atomically
+from probe_agents.records.manifest import origin, write_json
+from probe_agents.terminal.tables import print_line
+from probe_env import Context, Plant, Scene
+from probe_env.arrays import BoolArray, FloatArray
+from probe_env.envs.task import TaskConfig, drive_counts, metre_reward, share_between, slack
+from probe_env.envs.vibration_map import expected_cost, feeds
+from probe_env.physics.closed_forms import buckling_load, steady_root_tension
+from probe_env.schedule import Schedule
+
+MEASURES: Final = {"displacement": "rf_noise_rms", "acceleration": "radial_acceleration_rms"}
+"""Vibration measure of a task -> channel of the response."""
+FEEDS, AIRS = 28, 12
+"""Points of the grid of settings."""
+SAFE_LENGTHS: Final = 23
+"""Number of inserted lengths at which ``safe_air`` computes the root tension."""
+STEP: Final = 0.02
+FRICTIONS: Final = tuple(round(0.06 + STEP * k, 2) for k in range(15))
+"""Frictions of the rows of a law, up to 0.34."""
+DRAWS_PER_ROW: Final = 16
+"""Samples of one helix diameter for a row of a law."""
+CHANGE_WEIGHT: Final = 0.5
+"""Cost of a change of the feed by a factor of e, or of the air over its range, between two points."""
+MARGIN: Final = 1.5
+"""Required ratio of root tension to the task's required tension ..."""
+CONFIDENCE: Final = 0.95
+"""... in this share of the samples."""
+INTERVAL: Final = 0.05, 0.95
+"""Quantiles of the samples' expected rewards."""
+MODEL_CHANGE: Final = -9.4
+"""Change of the reward of ``best-schedule`` if air expands and the cable has weight, which the response neglects: mean
+over 12 tubes of ``--tube fresh`` at ``fast``, 95 % interval -17.6 to -3.5 (results/effects/ranking/comparison.csv)."""
+NAME: Final = "recommended"
+LAW: Final = "recommended-law"
+BASELINES: Final = ("best-schedule", "tension-scheduled")
+"""Policies that a recommendation is always compared with."""
+
+
+class Optimum(NamedTuple):
+    """A schedule over inserted length, and its expected result."""
+
+    schedule: Schedule
+    reward: float  # mean expected reward of an insertion
+    interval: tuple[float, float]  # quantiles INTERVAL of the expected reward over the samples
+    tension: float  # root tension that CONFIDENCE of the samples exceed where lost drive is scored [N]
+
+
+@dataclass(frozen=True)
+class Confirmation:
+    """Settings of the simulation of a recommendation."""
+
+    folder: Path  # folder of episodes and report
+    schedules: tuple[str, ...] = ()  # schedules to compare with, specs as for evaluate
+    limit: int = 12  # number of tubes; 0: all
+    fidelity: str = "fast"
+
+    def check(self, plant: Plant | None) -> None:
+        """Raise ValueError if the schedules or the other settings are not valid; their warnings follow in ``run``."""
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            plan_of((*self.schedules, *BASELINES), load_case(plant, "test", self.limit), 1, self.fidelity)
+
+    def run(self, plant: Plant | None, named: Sequence[str], workers: Workers) -> pd.DataFrame:
+        """Simulate recommendations ``named`` (NAME=FILE) with others in other samples, and print; the episodes."""
+        case = load_case(plant, "test", self.limit)
+        print(f"simulated in {len(case.contexts)} other samples at {self.fidelity}:")
+        plan = plan_of((*named, *self.schedules, *BASELINES), case, 1, self.fidelity)
+        names = [name_and_spec(spec)[0] for spec in self.schedules] or [NAME]  # for the report's first line
+        return evaluate_plan(plan, self.folder, against=NAME, workers=workers, own=names)
+
+
+def recommend(
+    plant: Plant | None,
+    output: Path,
+    confirmation: Confirmation | None,
+    response: Response,
+    law: Path | None = None,
+    workers: Workers = HERE,
+) -> Optimum:
+    """Search a schedule, write it, simulate it with others, print.
+
+    Args:
+        plant: plant; None: table 2 with the shipped lists of tubes.
+        output: schedule file (.csv); a description is written to NAME.json next to it.
+        confirmation: settings of the simulation; None: no simulation.
+        response: expected measurements.
+        law: file of a feedback law (.json); None: no law.
+        workers: workers of the simulation.
+
+    Raises:
+        ValueError: the plant, or a schedule to compare with, is not valid; nothing is written.
+    """
+    case = load_case(plant, "train")
+    if confirmation:
+        confirmation.check(plant)
+    for text in outside_training(case.contexts, response, case.config):
+        warnings.warn(f"outside the training range of the response: {text}", OutsideDomain, stacklevel=2)
+    if case.config.returns:
+        print_line(
+            f"{output.stem} is for the insertion; the withdrawal is at the fastest feed. For both passes use"
+            " probe-env study best-round-trip"
+        )
+    start_air = route_air(plant, case.contexts)
+    optimum = optimal_schedule(case.contexts, response, case.config, start_air)
+    write_atomically(output, optimum.schedule.to_csv())
+    low, high = optimum.interval
+    figures = {"expected_reward": optimum.reward, "expected_reward_low": low, "expected_reward_high": high}
+    figures |= {"model_change_study_tubes": MODEL_CHANGE, "least_root_tension_n": optimum.tension}
+    write_description(output, plant, len(case.contexts), figures)
+    named = [f"{NAME}={output}"]
+    if law:
+        feedback = optimal_law(case.contexts, response, case.config, start_air)
+        write_atomically(law, feedback.model_dump_json(indent=1))
+        named.append(f"{LAW}={law}")
+    seconds = np.trapezoid(1.0 / np.array(optimum.schedule.feed_speed), optimum.schedule.position)
+    print_line(
+        f"{output}: in your tubes about {seconds:.0f} s, expected reward {optimum.reward:.1f}"
+        f" (90 % of {len(case.contexts)} samples: {low:.1f} to {high:.1f}); drive safe: root tension above"
+        f" {optimum.tension:.2g} N in {CONFIDENCE:.0%}"
+    )
+    print_line(
+        f"not included: expanding air and weight change best-schedule in the study's tubes by {MODEL_CHANGE:+.1f}"
+    )
+    print_start_air(start_air, case.config)
+    if confirmation:
+        confirmation.run(plant, named, workers)
+    return optimum
+
+
+def write_description(output: Path, plant: Plant | None, draws: int, figures: Mapping[str, float]) -> None:
+    """Write NAME.json next to a schedule file: the plant, the number of samples, and figures of the search."""
+    record = {
+        "tube": plant.model_dump(mode="json", exclude={"posterior"}) if plant else None,
+        "calibrated": plant is not None and plant.posterior is not None,
+        "draws": draws,
+    }
+    write_json(output.with_suffix(".json"), record | dict(figures) | origin())
+
+
+def print_start_air(start_air: float, config: TaskConfig) -> None:
+    """Print the least air before the helix, see ``route_air``; nothing if it is 0."""
+    if start_air:
+        print_line(
+            f"route: the helix must pull with {config.required_tension:.3g} N; before the helix and up to"
+            f" {config.lost_drive_from:g} m in it blow at least {3600.0 * start_air:.0f} m3/h"
+        )
+
+
+def is_misspecified(plant: Plant | None) -> bool:
+    """Whether a plant's calibration does not fit its logs: nothing should be computed from it."""
+    return plant is not None and plant.posterior is not None and plant.posterior.misspecified
+
+
+def route_air(plant: Plant | None, tubes: Sequence[Context]) -> float:
+    """Least air before the helix and at its start [m3/s], with ``MARGIN`` of drag if the plant has it; 0: no route.
+
+    Raises:
+        ValueError: the probe does not get through the route in ``CONFIDENCE`` of the tubes.
+    """
+    if plant is None:
+        return 0.0
+    return min(math.sqrt(MARGIN) * plant.check_route(tubes, CONFIDENCE), plant.config.air_supply_rates[1])
+
+
+def optimal_schedule(
+    tubes: Sequence[Context], response: Response, config: TaskConfig, start_air: float = 0.0
+) -> Optimum:
+    """The schedule with the best mean expected reward over equally likely tubes.
+
+    Args:
+        tubes: samples of the plant.
+        response: expected measurements.
+        config: the task.
+        start_air: least air [m3/s] at the lengths at which lost drive is not scored yet, see ``route_air``.
+
+    Raises:
+        ValueError: the response lacks the task's vibration measure, or no air in the range gives enough tension.
+    """
+    if config.vibration_measure not in MEASURES:
+        problem = f"task.vibration_measure = {config.vibration_measure!r}"
+        raise ValueError(f"{problem}: recommendations support {' and '.join(MEASURES)}")
+    settings = settings_of(tubes, config, start_air)
+    costs = expected_costs(tubes, response, config, settings.metres).reshape(-1, *settings.tension.shape)
+    path = settings.cheapest(costs.mean(axis=0), CHANGE_WEIGHT)
+    rewards = metre_reward(config, costs[:, range(len(path)), path]) @ settings.spacing
+    low, high = np.quantile(rewards, INTERVAL)
+    return Optimum(settings.schedule(path), float(rewards.mean()), (low, high), settings.least_tension(path, config))
+
+
+class Settings(NamedTuple):
+    """A grid of g settings of feed and air at n inserted lengths; those with too little tension are excluded."""
+
+    lengths: FloatArray  # (n,) [m]
+    spacing: FloatArray  # (n,) length that each stands for [m]
+    feed: FloatArray  # (g,) [m/s]
+    air: FloatArray  # (g,) [m3/s]
+    change: FloatArray  # (g, g) squared change of log feed and of the air over its range
+    tension: FloatArray  # (n, g) root tension that CONFIDENCE of the samples exceed [N]
+    excluded: BoolArray  # (n, g)
+
+    @property
+    def metres(self) -> Metres:
+        """All settings at all lengths (n g,), lengths first."""
+        n, g = self.tension.shape
+        return Metres(np.repeat(self.lengths, g), np.tile(self.feed, n), np.tile(self.air, n), {})
+
+    def cheapest(self, cost: FloatArray, change_weight: float) -> list[int]:
+        """Setting at each length with the smallest sum of costs per metre (n, g) and of changes."""
+        staged = np.where(self.excluded, np.inf, cost * self.spacing[:, None])
+        return cheapest_path(staged, change_weight * self.change)
+
+    def schedule(self, path: list[int]) -> Schedule:
+        """The schedule of a setting at each length."""
+        position, feed, air = (tuple(v.tolist()) for v in (self.lengths, self.feed[path], self.air[path]))
+        return Schedule("inserted_length", "linear", position, feed, air)
+
+    def least_tension(self, path: list[int], config: TaskConfig) -> float:
+        """Least tension of a schedule where lost drive is scored [N]."""
+        scored = drive_counts(config, self.lengths)
+        return float(self.tension[range(len(path)), path][scored].min(initial=np.inf))
+
+
+def settings_of(tubes: Sequence[Context], config: TaskConfig, start_air: float = 0.0) -> Settings:
+    """The settings of a task, those excluded that have too little tension in the tubes.
+
+    Raises:
+        ValueError: no air in the range gives enough tension.
+    """
+    end = config.scene.tube.helix_length
+    lengths = np.unique(np.append(np.arange(FIRST, end, SPACING), end))
+    feed, air = _grid(config)
+    shape = len(lengths), len(feed)
+    spacing = np.gradient(lengths)
+    spacing[[0, -1]] *= 0.5  # half a spacing at the ends
+    logarithm, share = np.log(feed), share_between(air, config.air_supply_rates)
+    change = (logarithm[:, None] - logarithm) ** 2 + (share[:, None] - share) ** 2
+    settings = Settings(lengths, spacing, feed, air, change, np.zeros(shape), np.zeros(shape, dtype=bool))
+    tension = np.quantile(tensions(tubes, config, settings.metres), 1.0 - CONFIDENCE, axis=0).reshape(shape)
+    too_slack = slack(config, tension / MARGIN, lengths[:, None])
+    hopeless = too_slack.all(axis=1)
+    if hopeless.any():
+        at = f"{tension[hopeless][0].max():.3g} N at {lengths[hopeless][0]:g} m in {CONFIDENCE:.0%} of the samples"
+        needed = f"{MARGIN * config.required_tension:.3g} N are needed ({MARGIN:g} times required_tension)"
+        problem = f"air_supply_rates = {config.air_supply_rates!r} m3/s: the most air gives a root tension of only"
+        raise ValueError(f"{problem} {at}, and {needed}")
+    too_slack |= (air < start_air - 1e-12) & ~drive_counts(config, lengths[:, None])
+    return settings._replace(tension=tension, excluded=too_slack)
+
+
+def optimal_law(tubes: Sequence[Context], response: Response, config: TaskConfig, start_air: float = 0.0) -> Law:
+    """A feedback law: the recommended schedule for each of ``FRICTIONS`` in the range of the tubes; same errors."""
+    values = {name: [getattr(tube, name) for tube in tubes] for name in Context.model_fields}
+    ranges = {name: (min(v), max(v)) for name, v in values.items()}
+    least, most = ranges["friction"]
+    inside = [mu for mu in FRICTIONS if least - STEP < mu < most + STEP]
+    tables: list[OfDiameter] = []
+    lengths: tuple[float, ...] = ()
+    for diameter in dict.fromkeys(tube.helix_diameter for tube in tubes):
+        samples = [tube for tube in tubes if tube.helix_diameter == diameter][:DRAWS_PER_ROW]
+        contexts_by_friction = ([tube.model_copy(update={"friction": mu}) for tube in samples] for mu in inside)
+        rows = [optimal_schedule(contexts, response, config, start_air).schedule for contexts in contexts_by_friction]
+        lengths = rows[0].position
+        columns = {name: tuple(getattr(row, name) for row in rows) for name in ("feed_speed", "air_supply_rate")}
+        tables.append(OfDiameter(helix_diameter=diameter, **columns))
+    return Law(scene=config.scene, ranges=ranges, friction=tuple(inside), inserted_length=lengths, tables=tuple(tables))
+
+
+def expected_costs(tubes: Sequence[Context], response: Response, config: TaskConfig, metres: Metres) -> FloatArray:
+    """(tubes, m) expected cost of each metre in each tube: vibration, time and air, weighted as in the task."""
+    column = CHANNELS.index(MEASURES[config.vibration_measure])
+    plain = config.model_copy(update={"vibration_measure": "displacement", "vibration_limit": 1e-4})
+    costs = []
+    for tube in tubes:
+        mean, spread = response.predict(_table(tube, config.scene), metres, _scene_in(tube, config))
+        louder = mean[0, :, column] - np.log10(config.limit)
+        costs.append(expected_cost(louder, spread[0, :, column], metres.feed, metres.air, plain))
+    return np.array(costs)
+
+
+def tensions(tubes: Sequence[Context], config: TaskConfig, metres: Metres) -> FloatArray:
+    """(tubes, m) root tension of steady sliding [N]."""
+    rows = []
+    for tube in tubes:
+        friction = np.full((1, 1), max(tube.friction, 1e-6))
+        rows.append(tube.drag_factor * steady_tension(friction, metres, _scene_in(tube, config))[0])
+    return np.array(rows)
+
+
+def outside_training(tubes: Sequence[Context], response: Response, config: TaskConfig) -> list[str]:
+    """Texts for everything in a task and its tubes that is outside the training ranges of the response."""
+    nothing, lines = np.zeros(0), dict[str, None]()
+    for tube in {tube.helix_diameter: tube for tube in tubes}.values():
+        lines |= dict.fromkeys(response.outside(Metres(nothing, nothing, nothing, {}), _scene_in(tube, config)))
+    table = np.concatenate([_table(tube, config.scene) for tube in tubes])
+    for values, unknown in zip(table.T, UNKNOWNS.values(), strict=True):
+        if values.min() < unknown.low or values.max() > unknown.high:
+            span = f"{values.min():.4g} to {values.max():.4g}"
+            lines[f"{unknown.text} {span}, beyond {unknown.low:g} to {unknown.high:g} {unknown.unit}".strip()] = None
+    return list(lines)
+
+
+def _scene_in(tube: Context, config: TaskConfig) -> Scene:
+    return config.scene.model_copy(update={"tube": {"helix_diameter": tube.helix_diameter}})
+
+
+def _table(tube: Context, scene: Scene) -> FloatArray:
+    """(1, 4) unknowns of a tube."""
+    drag = scene.air.drag_coefficient * tube.drag_factor
+    return np.array([[max(tube.friction, 1e-6), tube.contact_stiffness, drag, scene.probe.damping_time]])
+
+
+def _grid(config: TaskConfig) -> tuple[FloatArray, FloatArray]:
+    """(g,) settings of feed and air, in steps of the device."""
+    targets = []
+    for values, step, (low, high) in (
+        (np.geomspace(*feeds(config), FEEDS), config.feed_speed_step, (config.feed_speeds[0], config.permitted_feed)),
+        (np.linspace(*config.air_supply_rates, AIRS), config.air_supply_step, config.air_supply_rates),
+    ):
+        set_to = np.round(step * np.round(values / step), 12) if step > 0.0 else values
+        within = set_to[(set_to >= low - 1e-12) & (set_to <= high + 1e-12)]
+        targets.append(np.unique(within if len(within) else values))
+    fed, blown = np.meshgrid(*targets, indexing="ij")
+    return fed.ravel(), blown.ravel()
+
+
+def cheapest_path(staged: FloatArray, change: FloatArray) -> list[int]:
+    """Grid points, one per length, with the smallest sum of costs (lengths, g) and of changes (g, g): Bellman."""
+    total, came_from = staged[0], []
+    for costs in staged[1:]:
+        through = total[:, None] + change
+        best = through.argmin(axis=0)
+        came_from.append(best)
+        total = through[best, np.arange(len(best))] + costs
+    path = [int(total.argmin())]
+    for best in reversed(came_from):
+        path.append(int(best[path[-1]]))
+    return path[::-1]
+
+
+def safe_air(config: TaskConfig, tubes: Sequence[Context], feeds: tuple[float, float]) -> tuple[float, float]:
+    """Least air for insertion and most for withdrawal [m3/h]: whole numbers, or steps of the device.
+
+    Too little air loses the drive; too much buckles the cable in the withdrawal. ``MARGIN`` is for vibration.
+
+    Args:
+        config: task: range of the air, required tension, probe and bore.
+        tubes: tubes in all of which the air must be safe.
+        feeds: slowest and fastest feed [m/s]; the fastest has the least tension, the slowest the most compression.
+
+    Raises:
+        ValueError: no air in the range is safe.
+    """
+    slowest, fastest = feeds
+    least, most = (3600.0 * air for air in config.air_supply_rates)
+    whole = np.append(np.arange(math.ceil(least), most), (least, most)) / 3600.0
+    # bounds in steps of the device, so that no air between them is rounded to a value outside
+    airs = np.unique(np.round(3600.0 * config.feasible(np.full_like(whole, fastest), whole)[:, 1], 9))
+    pulls, enough = least_root_tension(config, tubes, airs, fastest), MARGIN * config.required_tension
+    if not (pulls >= enough).any():
+        problem = f"air_supply_rates up to {most:.4g} m3/h: the most air pulls with only {pulls.max():.3g} N"
+        needed = f"{enough:.3g} N are needed ({MARGIN:g} times required_tension)"
+        raise ValueError(f"{problem} in the worst tube, and {needed}")
+    safe_load = buckling_load(config.scene.probe) / MARGIN
+    safe_count = min(
+        bisect_right(airs, safe_load, key=partial(root_compression, config, tube, feed=slowest)) for tube in tubes
+    )
+    if safe_count == 0:
+        greatest = max(root_compression(config, tube, airs[0], slowest) for tube in tubes)
+        problem = f"air_supply_rates from {least:.4g} m3/h: the least air compresses with {greatest:.3g} N"
+        limit = f"{safe_load:.3g} N (buckling load between two floats over {MARGIN:g})"
+        raise ValueError(f"{problem}; the limit is {limit}")
+    return float(airs[pulls >= enough].min()), float(airs[safe_count - 1])
+
+
+def least_root_tension(config: TaskConfig, tubes: Sequence[Context], airs: FloatArray, feed: float) -> FloatArray:
+    """(a,) smallest root tension of an insertion [N] over tubes and lengths at which lost drive is scored, by air."""
+    lengths = np.linspace(FIRST, config.scene.tube.helix_length, SAFE_LENGTHS)
+    lengths = lengths[drive_counts(config, lengths)]
+    air, length = np.repeat(airs / 3600.0, len(lengths)), np.tile(lengths, len(airs))
+    tension = tensions(tubes, config, Metres(length, np.full(len(length), feed), air, {}))
+    return np.asarray(tension.min(axis=0).reshape(len(airs), -1).min(axis=1, initial=np.inf))
+
+
+def root_compression(config: TaskConfig, tube: Context, air: float, feed: float) -> float:
+    """Root compression on withdrawal [N] with all of the cable inserted; it grows with the air [m3/h]."""
+    scene = config.scene
+    drawn = {
+        "tube": {"helix_diameter": tube.helix_diameter},
+        "contact": {"friction": tube.friction},
+        "air": {"drag_coefficient": scene.air.drag_coefficient * tube.drag_factor},
+        "carrier_length": scene.tube.helix_length - scene.probe.guide_length,
+        "feed_speed": -feed,
+        "air_supply_rate": -air / 3600.0,
+    }
+    return -steady_root_tension(scene.model_copy(update=drawn))

@@ -1,0 +1,366 @@
+"""Model-predictive control on copies of the simulator: an upper bound for feedback, no controller for a rig.
+
+Every few control periods, candidates of feed and air are simulated on copies of the running episodes; the one with the
+largest sum of simulated and expected remaining reward is applied. Noise on the state and an estimated tube remove
+information that a rig does not have.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields
+from functools import lru_cache
+from typing import Any, Final, Literal, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from probe_agents.policies.fixed import gain
+from probe_agents.policies.on_map import FRICTION_STEP, FRICTIONS, LEAST_AIR, expected_costs, knots, targets_on_map
+from probe_agents.policies.policy import Domain
+from probe_env import Context
+from probe_env.arrays import BoolArray, FloatArray
+from probe_env.envs.episodes import Episodes
+from probe_env.envs.episodes.scoring import RoundTripScorer
+from probe_env.envs.task import TaskConfig, metre_reward, uninspected_weight
+from probe_env.envs.task.observations import in_si_units
+from probe_env.envs.vibration_map import CONTEXT, VibrationMap, stored_map
+from probe_env.physics.closed_forms import MEASURED, friction_from_tension
+
+WIDE: Final = (0.5, 0.25)
+"""Standard deviations of wide candidates: of the logarithm of the feed, and of the air as a share of its range."""
+NEAR: Final = (0.12, 0.06)
+"""Standard deviations of near candidates."""
+BLUR: Final = 1e-5
+"""Uncertainty of the radial position of every float on a rig [m]."""
+PLANNERS: Final[dict[str, dict[str, Any]]] = {
+    "planner": {},
+    "planner-blurred": {"blur": BLUR},
+    "planner-estimated": {"blur": BLUR, "tube": "estimated"},
+}
+"""Names and settings of planners of insertions."""
+INSPECTION_PLANNERS: Final = {name: PLANNERS[name] for name in ("planner", "planner-blurred")}
+"""Those of both passes."""
+
+
+class Memory(NamedTuple):
+    """State of an episode: periods since its start, current feed [m/s] and air [m3/s], estimated friction."""
+
+    time: int
+    feed: float
+    air: float
+    friction: float
+
+
+@dataclass
+class ModelPredictivePolicy(ABC):
+    """Every ``every`` control periods, simulates ``candidates`` of feed and air for ``periods`` and applies the best.
+
+    Attributes:
+        config: the task.
+        periods: control periods for which a candidate is held.
+        candidates: number of candidates.
+        every: control periods between two decisions.
+        blur: standard deviation of the noise on the nodes' radial positions [m].
+        seed: seed of the candidates.
+        prior: initial friction estimate.
+    """
+
+    config: TaskConfig
+    periods: int = 4
+    candidates: int = 16
+    every: int = 2
+    blur: float = 0.0
+    seed: int = 0
+    prior: float = 0.175
+
+    def __post_init__(self) -> None:
+        for name in ("periods", "candidates", "every"):
+            if not 1 <= getattr(self, name) <= 1000:
+                raise ValueError(f"{name} = {getattr(self, name)!r} is outside the accepted range 1 to 1000")
+
+    def predict(
+        self,
+        observation: npt.NDArray[np.floating],
+        state: Any = None,
+        episode_start: npt.NDArray[np.bool_] | None = None,
+        deterministic: bool = False,
+    ) -> tuple[npt.NDArray[np.float32], Any]:
+        """Not available.
+
+        Raises:
+            ValueError: always: planning needs the simulator, not only observations.
+        """
+        raise ValueError("a planner needs the simulator, not only observations: run it with `probe-env evaluate`")
+
+    def describe(self) -> dict[str, Any]:
+        """JSON-ready description."""
+        settings = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("config", "vibration")}
+        return {"policy": type(self).__name__, **settings}
+
+    def decide(
+        self, episodes: Episodes, which: Sequence[int], observation: npt.NDArray[np.float32], states: Sequence[Any]
+    ) -> tuple[npt.NDArray[np.float32], list[Any]]:
+        """Actions (n, 2) and new states of n running episodes for their observations (n, d) and states."""
+        memories: list[Memory] = []
+        for k, state in zip(which, states, strict=True):
+            simulator = episodes.batch.simulators[k]
+            memories.append(state or Memory(0, simulator.feed_speed, simulator.air_supply_rate, self.prior))
+        memories = self._with_friction(observation, memories)
+        due = [row for row, memory in enumerate(memories) if memory.time % self.every == 0]
+        # grouped by time: candidates depend on the time of an episode, not on the other episodes of the batch
+        for time in sorted({memories[row].time for row in due}):
+            rows = [row for row in due if memories[row].time == time]
+            best = self._best(episodes, [which[row] for row in rows], [memories[row] for row in rows])
+            for row, (feed, air) in zip(rows, best.tolist(), strict=True):
+                memories[row] = memories[row]._replace(feed=feed, air=air)
+        feeds, airs = (np.array([getattr(memory, name) for memory in memories]) for name in ("feed", "air"))
+        actions = self.config.actions(feeds, airs).astype(np.float32)
+        return actions, [memory._replace(time=memory.time + 1) for memory in memories]
+
+    def _best(self, episodes: Episodes, which: Sequence[int], memories: Sequence[Memory]) -> FloatArray:
+        """(n, 2) feed [m/s] and air [m3/s] of the best candidates; the episodes are not changed."""
+        entropy = [self.seed, memories[0].time]
+        held = np.array([(memory.feed, memory.air) for memory in memories])
+        inserted = episodes.inserted_length[list(which)]
+        tubes = self._tubes([episodes.context[k] for k in which], memories)
+        candidates = self._candidates(tubes, inserted, held, entropy)
+        candidates[..., 0] = np.minimum(candidates[..., 0], self.config.permitted_feed)
+        copies = episodes.fork(np.repeat(which, self.candidates).tolist())
+        for row, (k, tube) in enumerate(zip(which, tubes, strict=True)):
+            if tube is not episodes.context[k]:
+                move_to(tube, copies, range(row * self.candidates, (row + 1) * self.candidates))
+        blur_states(copies, self.blur, entropy)
+        rows = candidates.reshape(-1, 2)
+        worth = (reward_of_holding(copies, rows, self.periods) + self._rest(copies, rows)).reshape(candidates.shape[:2])
+        return np.take_along_axis(candidates, worth.argmax(axis=1)[:, None, None], axis=1)[:, 0]
+
+    def _with_friction(self, observation: npt.NDArray[np.float32], memories: list[Memory]) -> list[Memory]:
+        """Memories with friction estimated from the observations."""
+        return memories
+
+    def _tubes(self, tubes: list[Context], memories: Sequence[Memory]) -> list[Context]:
+        """Tubes of the simulated copies, for the true tubes."""
+        return tubes
+
+    @abstractmethod
+    def _candidates(
+        self, tubes: Sequence[Context], inserted: FloatArray, held: FloatArray, entropy: list[int]
+    ) -> FloatArray:
+        """(n, candidates, 2) feed [m/s] and air [m3/s] to try."""
+
+    @abstractmethod
+    def _rest(self, copies: Episodes, held: FloatArray) -> FloatArray:
+        """(N,) expected reward after the periods in which feed and air (N, 2) were constant."""
+
+
+@dataclass
+class InsertionPlanner(ModelPredictivePolicy):
+    """Model-predictive control of an insertion.
+
+    Attributes:
+        vibration: vibration map of the remaining reward; default: the shipped one.
+        tube: "true", or "estimated": friction from the root tension, all else from the scene.
+        rest: remaining reward: from the "map", or "nothing" (0).
+        average: time constant of the average of the estimated friction [s].
+    """
+
+    vibration: VibrationMap = field(default_factory=stored_map)
+    tube: Literal["true", "estimated"] = "true"
+    rest: Literal["map", "nothing"] = "map"
+    average: float = 15.0
+
+    @property
+    def domain(self) -> Domain:
+        """Tubes of the map."""
+        return Domain.of_map(self.vibration)
+
+    def describe(self) -> dict[str, Any]:
+        """With a hash of the map."""
+        return super().describe() | {"map": self.vibration.digest, "least_air": LEAST_AIR}
+
+    def _with_friction(self, observation: npt.NDArray[np.float32], memories: list[Memory]) -> list[Memory]:
+        if self.tube == "true":
+            return memories
+        measured = in_si_units(self.config, np.asarray(observation))
+        if "root_tension" not in measured:
+            raise ValueError("planner-estimated needs the root tension (observe_root_tension = true)")
+        friction = friction_from_tension({name: measured[name] for name in MEASURED}, self.config.scene)
+        weight = gain(self.config, self.average)
+        pairs = zip(memories, np.clip(friction, *FRICTIONS).tolist(), strict=True)
+        return [m._replace(friction=m.friction + weight * (latest - m.friction)) for m, latest in pairs]
+
+    def _tubes(self, tubes: list[Context], memories: Sequence[Memory]) -> list[Context]:
+        if self.tube == "true":
+            return tubes
+        rounded = [round(round(memory.friction / FRICTION_STEP) * FRICTION_STEP, 4) for memory in memories]
+        pairs = zip(rounded, tubes, strict=True)
+        return [Context(friction=friction, helix_diameter=tube.helix_diameter) for friction, tube in pairs]
+
+    def _candidates(
+        self, tubes: Sequence[Context], inserted: FloatArray, held: FloatArray, entropy: list[int]
+    ) -> FloatArray:
+        best = np.column_stack(targets_on_map(tubes, inserted, self.config, self.vibration))
+        return candidates_near(held, best, self.candidates, self.config, entropy)
+
+    def _rest(self, copies: Episodes, held: FloatArray) -> FloatArray:
+        inserted = copies.inserted_length
+        rest = np.zeros(len(copies))
+        if self.rest == "map":
+            pairs = zip(copies.context, inserted, strict=True)
+            rest = np.array([remaining_reward(tube, at, self.config, self.vibration) for tube, at in pairs])
+        # a slack cable will lose the drive, which the map does not include
+        lost_drive = -uninspected_weight(self.config) * (copies.helix_length - inserted)
+        return np.where(copies.running, np.where(is_slack(copies), lost_drive, rest), 0.0)
+
+
+@dataclass
+class InspectionPlanner(ModelPredictivePolicy):
+    """Model-predictive control of both passes.
+
+    The remaining reward assumes the candidate until the end of the present pass, then the fastest withdrawal without
+    vibration. There is no map of withdrawals: a compressed probe hardly vibrates except after changes of its feed.
+
+    Raises:
+        ValueError: a setting is out of range, or the withdrawal is not scored.
+    """
+
+    periods: int = 6
+    candidates: int = 10
+    every: int = 3
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.config.inspects == "in":
+            raise ValueError(
+                "inspects = 'in': the withdrawal is not scored; use passes = \"in\" with a planner of the insertion"
+            )
+
+    def _candidates(
+        self, tubes: Sequence[Context], inserted: FloatArray, held: FloatArray, entropy: list[int]
+    ) -> FloatArray:
+        return candidates_for_both_passes(held, self.candidates, self.config, entropy)
+
+    def _rest(self, copies: Episodes, held: FloatArray) -> FloatArray:
+        return remaining_reward_of_both_passes(copies, held)
+
+
+def candidates_for_both_passes(held: FloatArray, count: int, config: TaskConfig, entropy: list[int]) -> FloatArray:
+    """(n, count, 2) feed speeds [m/s] and air supplies [m3/s], rounded like the plant's devices.
+
+    The current setting (n, 2), the fastest feed with the current air, then in turn samples near the current setting and
+    the fastest feed with random air: the two passes need different settings, and the turn is too short for small steps.
+    """
+    fastest, (least, most) = config.feed_speeds[1], config.air_supply_rates
+    tried = candidates_near(held, np.column_stack([np.full(len(held), fastest), held[:, 1]]), count, config, entropy)
+    airs = np.random.default_rng([*entropy, count]).uniform(least, most, size=count)
+    actions = config.actions(np.full(count, fastest), airs).astype(np.float32)
+    tried[:, 3::2] = config.targets(actions)[3::2]
+    return tried
+
+
+def candidates_near(
+    held: FloatArray, suggested: FloatArray, count: int, config: TaskConfig, entropy: list[int]
+) -> FloatArray:
+    """(n, count, 2) feed speeds [m/s] and air supplies [m3/s], rounded like the plant's devices.
+
+    All episodes at the same time share the random numbers, so an episode does not depend on the rest of the batch.
+
+    Args:
+        held: (n, 2) current feed and air: the first candidate.
+        suggested: (n, 2) best setting by the map: the second candidate.
+        count: number of candidates, at least 1.
+        config: task.
+        entropy: seed of the generator.
+    """
+    rng = np.random.default_rng(entropy)
+    tried = np.repeat(held[:, None], count, axis=1)
+    tried[:, 1:2] = suggested[:, None]
+    rest = np.arange(2, count)
+    normal = np.clip(rng.normal(size=(len(rest), 2)), -3.0, 3.0)
+    low, high = config.air_supply_rates
+    for row, k in enumerate(rest.tolist()):
+        spread = WIDE if row % 2 else NEAR
+        centre = suggested if row % 4 == 1 else held
+        tried[:, k, 0] = centre[:, 0] * np.exp(spread[0] * normal[row, 0])
+        tried[:, k, 1] = centre[:, 1] + spread[1] * (high - low) * normal[row, 1]
+    # through float32 actions: in a chaotic motion digits beyond float32 would change the result
+    actions = config.actions(tried[..., 0].ravel(), tried[..., 1].ravel()).astype(np.float32)
+    return np.asarray(config.targets(actions)).reshape(tried.shape)
+
+
+def move_to(tube: Context, copies: Episodes, which: range) -> None:
+    """Continue copies of one episode in another tube."""
+    simulators = copies.batch.simulators
+    begun = {name: getattr(simulators[which[0]].scene, name) for name in ("probe", "carrier_length")}
+    moved = simulators[which[0]].branch(copies.sampler.build(tube, {}).model_copy(update=begun))
+    for k in which:
+        simulators[k], copies.context[k] = moved.branch(), tube
+
+
+def blur_states(copies: Episodes, blur: float, entropy: list[int]) -> None:
+    """Displace the nodes of copies radially by noise [m], equal for all copies of a probe."""
+    if blur <= 0.0:
+        return
+    for simulator in copies.batch.simulators:
+        noise = np.random.default_rng([*entropy, simulator.steps_done]).normal(size=simulator.chain.node_count)
+        simulator.displace(blur * noise[: simulator.root])
+
+
+def remaining_reward(tube: Context, inserted: FloatArray, config: TaskConfig, vibration: VibrationMap) -> FloatArray:
+    """Expected reward of the best schedule from inserted lengths [m] (any shape) to the end of the helix."""
+    return np.interp(inserted, *_remaining_rewards(tube, config, vibration))
+
+
+@lru_cache(maxsize=1024)
+def _remaining_rewards(tube: Context, config: TaskConfig, vibration: VibrationMap) -> tuple[FloatArray, FloatArray]:
+    """Lengths (k,) [m] and the remaining reward at each."""
+    end = config.scene.tube.helix_length
+    lengths = np.minimum(knots(config), end)
+    values = np.array([[getattr(tube, name) for name in CONTEXT]])
+    rate = metre_reward(config, expected_costs(values, config, 0.0, vibration)[0].min(axis=1))
+    if lengths[-1] < end:  # as the last knot is
+        lengths, rate = np.append(lengths, end), np.append(rate, rate[-1])
+    steps = 0.5 * (rate[1:] + rate[:-1]) * np.diff(lengths)
+    return lengths, np.append(np.cumsum(steps[::-1])[::-1], 0.0)
+
+
+def reward_of_holding(copies: Episodes, held: FloatArray, periods: int) -> FloatArray:
+    """(N,) reward of some periods with constant feed [m/s] and air [m3/s] (N, 2)."""
+    actions = copies.config.actions(held[:, 0], held[:, 1]).astype(np.float32)
+    reward = np.zeros(len(copies))
+    for _ in range(periods):
+        running = copies.running.copy()
+        if not running.any():
+            break
+        reward += np.where(running, copies.step(actions, running).reward, 0.0)
+    return reward
+
+
+def is_slack(episodes: Episodes) -> BoolArray:
+    """(N,) whether the cable is slack, so that the drive will be lost."""
+    return np.array([metrics.consecutive_slack_steps > 0 for metrics in episodes.scorer.metrics])
+
+
+def remaining_reward_of_both_passes(episodes: Episodes, held: FloatArray) -> FloatArray:
+    """(N,) remaining reward with insertion and withdrawal; 0 for ended episodes.
+
+    Feed [m/s] and air [m3/s] (N, 2) are constant on the present pass; the withdrawal has the fastest feed and the least
+    air. For a slack cable the value is the cost of lost drive.
+    """
+    config, passes = episodes.config, episodes.scorer
+    assert isinstance(passes, RoundTripScorer)
+    inserted, length = episodes.inserted_length, episodes.helix_length
+    to_pass, shaken = passes.still_to_pass()
+    inserting, uninspected = passes.direction > 0.0, length - passes.reached
+    here = np.where(inserting, length - inserted, to_pass) / held[:, 0]
+    back = np.where(inserting, length - passes.start, 0.0) / config.feed_speeds[1]
+    air = held[:, 1] * here + config.air_supply_rates[0] * back
+    # the vibration of the insertion is already charged; a withdrawal without vibration refunds it
+    refund = config.vibration_weight * shaken if config.inspects == "best" else 0.0
+    left = np.where(inserting, length - passes.start, to_pass)
+    metres = uninspected if config.inspects == "best" else left
+    reward = config.progress_weight * metres + refund - config.time_weight * (here + back) - config.air_weight * air
+    lost_drive = -uninspected_weight(config) * (uninspected + left)
+    return np.where(episodes.running, np.where(is_slack(episodes), lost_drive, reward), 0.0)

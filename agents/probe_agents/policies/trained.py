@@ -1,0 +1,82 @@
+"""Reads bundles of trained agents without torch, and prints the shipped agents."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any, Final
+
+import numpy.typing as npt
+import safetensors.numpy
+from safetensors import SafetensorError
+
+from probe_agents.policies.view import View
+from probe_agents.records.shipped import DEFAULT_SEED, file_or_shipped, policy_file, shipped_agents
+from probe_agents.terminal.tables import print_terms
+from probe_env.envs.task import TaskConfig
+from probe_env.envs.task.scales import PROBE
+from probe_env.files import MEBI, FileError, read_bytes, read_toml
+from probe_env.settings import tuples
+
+MOST_BYTES: Final = 512 * MEBI
+RESTORE: Final = "restore the file, or train again"
+
+
+def read_weights(path: Path) -> tuple[str, str, dict[str, npt.NDArray[Any]]]:
+    """Read description (JSON text), hash and weights of a bundle.
+
+    Raises:
+        FileNotFoundError: no such file.
+        FileError: not a safetensors file with description and hash.
+    """
+    content = read_bytes(path, MOST_BYTES)
+    try:
+        weights = safetensors.numpy.load(content)  # checks the header, which begins with its length
+        metadata = json.loads(content[8 : 8 + int.from_bytes(content[:8], "little")])["__metadata__"]
+        return metadata["description"], metadata["hash"], weights
+    except (SafetensorError, ValueError, KeyError, TypeError) as error:
+        raise FileError(path, f"not an agent's bundle (.safetensors): {error} - {RESTORE}") from error
+
+
+def print_agents() -> None:
+    """Print a paragraph for each shipped agent.
+
+    Raises:
+        FileError: a bundle or a training file is not valid.
+    """
+    for name, seeds in shipped_agents().items():
+        path = Path(policy_file(name))
+        text, _, _ = read_weights(path)
+        try:
+            description = tuples(json.loads(text))
+            view, task = View.model_validate(description["view"]), TaskConfig.model_validate(description["task"])
+        except (ValueError, KeyError, TypeError) as error:
+            raise FileError(path, f"not a bundle of this version: {error}") from error
+        training = read_toml(file_or_shipped("train", name))
+        environment, (slow, fast) = training.get("environment", {}), task.feed_speeds
+        probes = "any probe of the design space" if environment.get("probes") == "random" else "the study's probe"
+        least, most = (3600.0 * max(rate, view.least_air_supply_rate) for rate in task.air_supply_rates)
+        teacher = training.get("imitation", {}).get("teacher", "")
+        print(name)
+        print_terms({
+            "seeds": f"{', '.join(map(str, seeds))} of training, as {name}@{seeds[-1]};"
+            f" {name} alone is {name}@{DEFAULT_SEED}",
+            "sees": _observations(view),
+            "trained for": f"{environment.get('env_id', 'probe_env/Insertion-v1')} with {probes} in the"
+            f" {environment.get('contexts', 'train')} tubes; feeds {slow:g} to {fast:g} m/s,"
+            f" blows {least:g} to {most:g} m3/h",
+            "imitated": f"{teacher} first, then learnt by itself" if teacher else "nothing",
+        })  # fmt: skip
+
+
+def _observations(view: View) -> str:
+    averages = " and ".join(f"{seconds:g}" for seconds in view.averages)
+    tension = "the root tension" + (" and the friction that it suggests" if view.friction_estimate else "")
+    parts = [
+        "lengths, feed, air, accelerations, eddy-current noise, helix diameter",
+        tension if "root_tension" in view.observations else "not the root tension",
+        "which probe was built" if set(PROBE) <= set(view.observations) else "not which probe was built",
+        "whether it is drawn back" if "way" in view.observations else "",
+        f"averages of all that over {averages} s" if averages else "",
+    ]
+    return "; ".join(filter(None, parts))

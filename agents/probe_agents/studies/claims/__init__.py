@@ -1,0 +1,236 @@
+"""Checks the claims of the published study with ensembles of its cases."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+from typing import Final, NamedTuple
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pandas as pd
+from scipy.stats import mannwhitneyu
+
+from probe_agents.records.atomic import write_atomically
+from probe_agents.records.drawing import BLUE, GRID, MM, save
+from probe_agents.records.manifest import write_manifest
+from probe_agents.studies.builtin import Request, print_frame
+from probe_agents.studies.claims import cases
+from probe_agents.studies.claims.cases import PROBES, SUBSET, TRIPS, USUAL_FRICTION, insertion_of, run_cases, trip
+from probe_agents.terminal.tables import print_line
+from probe_env.arrays import FloatArray
+
+SIGNIFICANCE: Final = 0.05
+YES, NO, UNCLEAR = "yes", "no", "not clearly"
+RADIAL, ACCELERATION = "radial_rms_m", "radial_acceleration_rms_m_per_s2"
+GROWTH: Final = (10, 20, 30, 40, 50, 55)
+"""[m] carrier lengths of the study's figure 11 and 12."""
+NOTICEABLE: Final = 0.1
+"""Share of the insertion's highest peak from which a peak of the withdrawal is noticeable: -20 dB."""
+LEAST_PEAK: Final = 1e-6
+"""Minimum amplitude of a noticeable peak [m]: a hundredth of the vibration limit."""
+TUBE_BORE: Final = 24.2e-3  # [m]
+
+Test = Callable[[FloatArray, FloatArray], str]
+
+
+def run(request: Request) -> pd.DataFrame:
+    """Run the cases that are not stored; writes ensemble.csv, claims.csv (``claims_of``) and growth.png.
+
+    ``trials`` is the number of runs of a case; with a ``limit`` only the cases of ``SUBSET`` are run.
+
+    Returns:
+        the table of claims.
+    """
+    request.reject("tube")
+    members, output, duration = request.budget("trials", 1, 1000), request.output, cases.DURATION
+    names = () if request.limit is None else SUBSET
+    table = run_cases(output, members, names, request.workers.jobs)
+    claims = claims_of(table)
+    write_atomically(output / "claims.csv", claims.to_csv(index=False, float_format="%.4g"))
+    files = ("ensemble.csv", "claims.csv")
+    write_manifest(output, files, commits=table["commit"], members=members, duration_s=duration)
+    columns = ("claim", "figure", "case", "statistic", "mean", "least", "greatest", "reference_mean", "holds")
+    print_frame(f"Claims: {members} run(s) per case, {duration:g} s each", claims, columns, texts=4)
+    complete = Ensemble(table).has(*(f"l{length}" for length in GROWTH))
+    if complete:
+        draw_growth(table, output / "growth.png")
+    print_line(f"written: {output}/ (ensemble.csv, claims.csv{', growth.png' if complete else ''})")
+    return claims
+
+
+class Ensemble:
+    """Members of an ensemble table by case and statistic; ``diverged`` is 0 or 1."""
+
+    def __init__(self, table: pd.DataFrame) -> None:
+        self.table = table.assign(diverged=table["diverged_at_s"].notna())
+
+    def has(self, *cases: str) -> bool:
+        """Whether every case has at least one member."""
+        return set(cases) <= set(self.table["case"])
+
+    def values(self, case: str, statistic: str) -> FloatArray:
+        """One statistic of all members of a case, diverged ones as NaN."""
+        values: FloatArray = self.table.loc[self.table["case"] == case, statistic].to_numpy(dtype=float)
+        return values
+
+    def mean(self, case: str, statistic: str = RADIAL) -> float:
+        """Mean over the members."""
+        return float(np.mean(self.values(case, statistic)))
+
+
+def greater(a: FloatArray, b: FloatArray) -> bool:
+    """Whether ``a`` is greater than ``b``: one-sided Mann-Whitney test, or means with fewer than four values."""
+    if min(len(a), len(b)) < 4:
+        return bool(a.mean() > b.mean())
+    return bool(mannwhitneyu(a, b, alternative="greater").pvalue < SIGNIFICANCE)
+
+
+def less(a: FloatArray, b: FloatArray, opposite: str = NO) -> str:
+    """Whether ``a`` is less than ``b``; no if a member of either diverged."""
+    if not (np.isfinite(a).all() and np.isfinite(b).all()):
+        return NO
+    return YES if greater(b, a) else opposite if greater(a, b) else UNCLEAR
+
+
+def _more(a: FloatArray, b: FloatArray) -> str:
+    return less(b, a)
+
+
+def same(a: FloatArray, b: FloatArray) -> str:
+    """Whether neither is greater than the other."""
+    return NO if greater(a, b) or greater(b, a) else YES
+
+
+def near(a: FloatArray, b: FloatArray, tolerance: float) -> str:
+    """Whether the ratio of the means is 1 within a tolerance."""
+    return YES if abs(float(a.mean() / b.mean()) - 1.0) <= tolerance else NO
+
+
+def below(a: FloatArray, b: FloatArray, share: float = 1.0) -> str:
+    """Whether the largest of ``a`` is at most a share of the mean of ``b``."""
+    return YES if a.max() <= share * b.mean() else NO
+
+
+def divided(a: FloatArray, b: FloatArray, factor: float) -> str:
+    """Whether the mean of ``b`` is at least ``factor`` times that of ``a``."""
+    return YES if b.mean() >= factor * a.mean() else NO
+
+
+def always(a: FloatArray, _: FloatArray) -> str:
+    """Whether ``a`` is 1 for every member."""
+    return YES if a.all() else NO
+
+
+class Claim(NamedTuple):
+    """One row of the table: statistic of a case, reference (another case or a number) and test."""
+
+    claim: str
+    figure: str
+    case: str
+    reference: str | float
+    statistic: str
+    test: Test
+
+
+def _sharpest(e: Ensemble) -> Test:
+    means = [e.mean(f"l{length}") for length in GROWTH]
+    ratios = [long / short for short, long in itertools.pairwise(means)]
+    return lambda *_: ("yes", "earlier", "later")[int(np.sign(2 - np.argmax(ratios)))]
+
+
+def _one_peak(e: Ensemble) -> Test:
+    common, axial = (float(np.median(e.values("l55", f"{name}_peak_hz"))) for name in ("common", "axial"))
+    return lambda *_: YES if abs(common - 14.0) <= 2.0 and abs(axial - common) <= 1.0 else NO
+
+
+def _insertion(e: Ensemble) -> Iterator[Claim]:
+    """The claims about insertion."""
+    for short, long in ((10, 30), (20, 40), (30, 50)):
+        yield Claim("vibration grows with length", "11", f"l{long}", f"l{short}", RADIAL, _more)
+    if e.has(*(f"l{length}" for length in GROWTH)):
+        yield Claim("it rises sharply between 30 and 40 m", "11", "l40", "l30", RADIAL, _sharpest(e))
+    yield Claim("no vibration without feed", "15", "u0", "l50", RADIAL, partial(below, share=0.01))
+    yield Claim("less at 0.1 m/s", "16", "u100", "l50", RADIAL, less)
+    yield Claim("more at 0.4 m/s", "16", "u400", "l50", RADIAL, _more)
+    yield Claim("less in a helix of 2.5 m", "17", "dh2500", "l50", RADIAL, less)
+    displacement = partial(less, opposite=UNCLEAR)
+    yield Claim("less at 40 m3/h: displacement", "18", "q40", "l50", RADIAL, displacement)
+    yield Claim("less at 40 m3/h: acceleration, as measured in the experiment", "18", "q40", "l50", ACCELERATION, less)
+    if e.has("l55"):
+        for statistic in ("common_peak_hz", "axial_peak_hz"):
+            yield Claim("one axial and radial peak at 14 Hz, l = 55 m", "14", "l55", 14.0, statistic, _one_peak(e))
+    yield Claim(
+        "the improved probe is nearly silent, l = 50 m", "20", "improved", "l50", RADIAL, partial(divided, factor=5.0)
+    )
+    yield Claim("Wilson and Newmark agree", "-", "l10-wilson", "l10", "axial_mean_m", partial(near, tolerance=0.01))
+    yield Claim("Wilson and Newmark agree", "-", "l50-wilson", "l50", RADIAL, same)
+    for case in ("l50-dt2e-4", "l50-dt5e-4"):
+        yield Claim("diverges above a step of 1e-4 s", "-", case, "l50", "diverged", always)
+    touched = partial(divided, factor=1.0)
+    yield Claim("only the inner wall is touched", "5", "l50-inner", TUBE_BORE, "tip_radial_max_m", touched)
+
+
+def _return(e: Ensemble) -> Iterator[Claim]:
+    """The claims about withdrawal (the study's experiment e), compared with insertion under the same settings."""
+    withdrawals = [case for case in TRIPS if case.withdrawn and e.has(case.name, insertion_of(case.name))]
+    for case in withdrawals:
+        yield Claim("less vibration in the return", "(e)", case.name, insertion_of(case.name), RADIAL, less)
+    usual = [case for case in withdrawals if case.friction == USUAL_FRICTION]
+    for probe, direction in itertools.product(PROBES, ("radial", "axial")):
+        chosen = [case.name for case in usual if case.scene == PROBES[probe]]
+        if chosen:
+            statistic = f"{direction}_highest_m"
+            highest = max(chosen, key=lambda name, key=statistic: e.mean(name, key))  # type: ignore[misc]
+            claim = f"no noticeable {direction} peak in the return from 2 s on: {probe}"
+            test = _not_noticeable(e, chosen, statistic)
+            yield Claim(claim, "(e)", highest, insertion_of(highest), statistic, test)
+    for withdrawn, direction in ((False, "insertion"), (True, "return")):
+        old, new = (trip(probe, 50, withdrawn=withdrawn).name for probe in PROBES)
+        claim = f"the improved probe vibrates less in the {direction}: 50 m, 0.2 m/s"
+        yield Claim(claim, "(e)", new, old, RADIAL, less)
+
+
+def _not_noticeable(e: Ensemble, withdrawals: list[str], statistic: str) -> Test:
+    peaks = np.array([e.mean(name, statistic) for name in withdrawals])
+    shares = peaks / [e.mean(insertion_of(name), statistic) for name in withdrawals]
+    noticeable = ((shares >= NOTICEABLE) & (peaks >= LEAST_PEAK)).any()
+    return lambda *_: UNCLEAR if noticeable else YES
+
+
+def claims_of(table: pd.DataFrame) -> pd.DataFrame:
+    """Every claim whose cases are in an ensemble table.
+
+    Columns claim, figure, statistic, case, mean, least, greatest (of its members), reference, reference_mean, ratio
+    and holds ("yes", "no", "not clearly", "earlier" or "later").
+    """
+    e = Ensemble(table)
+    rows = []
+    for claim in (*_insertion(e), *_return(e)):
+        cases = [case for case in (claim.case, claim.reference) if isinstance(case, str)]
+        if e.has(*cases):
+            values = e.values(claim.case, claim.statistic)
+            number = isinstance(claim.reference, float)
+            reference = np.array([claim.reference]) if number else e.values(str(claim.reference), claim.statistic)
+            base = float(reference.mean())
+            row = claim._asdict() | {"mean": values.mean(), "least": values.min(), "greatest": values.max()}
+            row |= {"reference": "-" if number else claim.reference, "reference_mean": base}
+            row |= {"ratio": values.mean() / base if base else float("nan"), "holds": claim.test(values, reference)}
+            rows.append(row)
+    columns = ["claim", "figure", "statistic", "case", "mean", "least", "greatest"]
+    return pd.DataFrame(rows, columns=[*columns, "reference", "reference_mean", "ratio", "holds"])
+
+
+def draw_growth(table: pd.DataFrame, path: Path) -> None:
+    """Radial rms at the sensor over the carrier length: range and mean of the ensemble."""
+    members = [Ensemble(table).values(f"l{length}", RADIAL) * MM for length in GROWTH]
+    figure, axis = plt.subplots(figsize=(7, 3.6), layout="constrained")
+    low, high = ([f(values) for values in members] for f in (min, max))
+    axis.fill_between(GROWTH, low, high, color=BLUE, alpha=0.2, label="range of the perturbed runs")
+    axis.plot(GROWTH, [values.mean() for values in members], "o-", color=BLUE, label="mean")
+    axis.set(xlabel="carrier length [m]", ylabel="radial rms at the sensor [mm]", yscale="log")
+    axis.grid(**GRID)
+    axis.legend(frameon=False)
+    save(figure, path)

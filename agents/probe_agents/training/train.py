@@ -1,0 +1,424 @@
+"""Trains agents phase by phase, with a checkpoint after each phase.
+
+The seed of a run and the number of a phase determine all random numbers of the phase, which begins with new episodes.
+An interrupted run therefore continues from its last checkpoint to the same weights.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+import torch
+from pydantic import Field
+from stable_baselines3 import PPO
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.logger import Logger, make_output_format
+from stable_baselines3.common.utils import set_random_seed
+from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn, VecEnvWrapper
+from tqdm import tqdm
+
+from probe_agents.evaluation.plan import Plan, run_plan
+from probe_agents.evaluation.workers import HERE, Workers
+from probe_agents.policies.bundle import ALGORITHMS, Agent, Description, write_bundle
+from probe_agents.policies.policy import Policy, ranges_of
+from probe_agents.policies.view import Rows, View
+from probe_agents.records.atomic import write_atomically
+from probe_agents.records.locks import run_lock
+from probe_agents.records.manifest import origin as made_by
+from probe_agents.records.manifest import write_json, write_manifest
+from probe_agents.records.models import Stored, read_json
+from probe_agents.records.tables import CURVE as CURVE_COLUMNS
+from probe_agents.records.tables import read_csv
+from probe_agents.terminal.tables import print_table
+from probe_agents.terminal.work import Work, announce
+from probe_agents.training.config import Imitation, Training
+from probe_agents.vec_env import ProbeVecEnv
+from probe_env.envs.task import TaskConfig
+from probe_env.fidelity import SURROGATE, Fidelity
+from probe_env.files import MEBI, FileError, one_line, read_bytes
+
+RUN, CHECKPOINT, BEST, CURVE = "run.json", "checkpoint.pt", "agent.safetensors", "learning.csv"
+BUFFER: Final = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
+"""Arrays of a replay buffer."""
+MOST_CHECKPOINT: Final = 16384 * MEBI
+VALIDATED: Final = ("inspection_time_s", "share_within_limit", "diverged")
+"""Columns of the learning curve, next to the reward."""
+MINIBATCH: Final = 256
+"""Batch size of the imitation."""
+Floats = npt.NDArray[np.float32]
+
+
+class Run(Stored):
+    """``run.json``: settings of a run, how it was started and resumed."""
+
+    seed: int
+    config: Training
+    resumed: list[dict[str, Any]] = Field(default_factory=list)
+
+
+def train_all(
+    training: Training, output: Path, resume: bool, workers: Workers = HERE, command: str | None = None
+) -> pd.DataFrame:
+    """Train every seed, each in ``output``/seed-K; returns the learning curves, one row per phase.
+
+    Workers on other machines must share the file system of ``output``.
+
+    Raises:
+        ValueError: a folder holds a run and ``resume`` is not set, or the run in it has other settings.
+    """
+    origin = made_by(command)
+    folders = prepare(training, output, resume, origin)
+    phases = training.phases + training.warm_start
+
+    def done() -> int:
+        curves = [folder / CURVE for folder in folders.values()]
+        return sum(len(read_csv(curve, CURVE_COLUMNS)) for curve in curves if curve.exists())
+
+    announce(Work("phase", len(folders) * phases, done, output, "continue with the same command and --resume"))
+    one = partial(train, training, output.absolute(), origin, threads=None if workers.here else 1)
+    curves = dict(workers.map(one, training.seeds))
+    rows: pd.DataFrame = pd.concat([curves[seed] for seed in training.seeds], ignore_index=True)
+    return rows
+
+
+def prepare(training: Training, output: Path, resume: bool, origin: dict[str, Any]) -> dict[int, Path]:
+    """Check the folder of every seed, then write ``run.json`` in each.
+
+    Raises:
+        ValueError: as ``train_all``; nothing was written.
+    """
+    folders = {seed: output / f"seed-{seed}" for seed in training.seeds}
+    settings, teacher = training.model_dump(mode="json"), training.teacher
+    runs: dict[Path, dict[str, Any]] = {}
+    for seed, folder in folders.items():
+        path = folder / RUN
+        if folder.exists():
+            with run_lock(folder):
+                pass
+        if not path.exists():
+            if (folder / CHECKPOINT).exists():
+                raise FileError(path, f"missing next to {CHECKPOINT}: restore it, or choose another folder")
+            runs[path] = {"seed": seed} | origin
+            continue
+        if not resume:
+            raise ValueError(f"{folder} holds a run: continue it with --resume, or choose another folder")
+        run = read_json(path, Run).model_dump(mode="json")
+        free = ("seeds", "phases", "search")  # more phases may follow
+        different = [name for name in settings if run["config"][name] != settings[name] and name not in free]
+        if different:
+            raise ValueError(
+                f"{folder} holds a run with other settings ({', '.join(different)}): choose another folder"
+            )
+        resumed = {name: origin[name] for name in ("command", "commit")}
+        runs[path] = run | {"resumed": [*run["resumed"], resumed]}
+    for path, run in runs.items():
+        write_json(path, run | {"config": settings, "teacher": teacher.describe() if teacher else None})
+    return folders
+
+
+def _write_curve(rows: list[dict[str, Any]], folder: Path) -> None:
+    write_atomically(folder / CURVE, pd.DataFrame(rows).to_csv(index=False, float_format="%.6g"))
+
+
+def train(
+    training: Training,
+    output: Path,
+    origin: dict[str, Any],
+    seed: int,
+    threads: int | None = None,
+    position: int | None = None,
+    watch: Callable[[dict[str, Any]], None] = lambda row: None,
+) -> pd.DataFrame:
+    """Train one seed to its end, starting from its last checkpoint if there is one.
+
+    Args:
+        training: settings.
+        output: folder; seed-K in it holds checkpoint, best agent, learning curve and logs.
+        origin: how the run was started, see ``manifest.origin``.
+        seed: of weights, episodes and exploration.
+        threads: of the simulation; default: all cores.
+        position: line of the progress bar; default: the first, or one line per seed if seeds have one thread each.
+        watch: called with the row of every phase after it is stored, also those before the last checkpoint; an
+            exception that it raises ends the training.
+
+    Raises:
+        FileError: another process trains in the folder; the checkpoint is damaged or of another run.
+    """
+    folder = output / f"seed-{seed}"
+    if position is None:
+        position = training.seeds.index(seed) if threads else 0
+    with run_lock(folder):
+        torch.set_num_threads(1)
+        env, plan, model = _new_run(training, seed, threads)
+        rows = restore(model, folder / CHECKPOINT)
+        if rows:
+            _write_curve(rows, folder)  # the stored curve may lack the last phase
+        for row in rows:
+            watch(row)
+        imitated = training.imitation.rounds * training.imitation.steps if training.imitation else 0
+        done = (imitated if rows else 0) + model.num_timesteps
+        total = imitated + training.pretraining_steps + training.phases * training.phase_steps
+        first = 0 if training.warm_start else 1
+        with tqdm(total=total, initial=done, desc=f"seed {seed}", unit="step", position=position) as bar:
+            for phase in range(first + len(rows), training.phases + 1):
+                begin, kernels = time.perf_counter(), env.batch.kernel_seconds
+                _run_phase(training, model, env, phase, folder, bar.update)
+                times = {"wall_s": time.perf_counter() - begin, "kernel_s": env.batch.kernel_seconds - kernels}
+                trained = {"seed": seed, "phase": phase, "steps": model.num_timesteps} | origin
+                rows.append(_validate(training, model, plan, threads, rows, trained, folder / BEST) | times)
+                save_checkpoint(model, rows, folder / CHECKPOINT)
+                _write_curve(rows, folder)
+                watch(rows[-1])
+        run = json.loads((folder / RUN).read_text())
+        commits = [each["commit"] for each in (run, *run.get("resumed", ()))]
+        write_manifest(folder, (RUN, CURVE, BEST), seeds=(seed,), command=origin["command"], commits=commits)
+        return pd.DataFrame(rows)
+
+
+class ViewVecEnv(VecEnvWrapper):
+    """The environments with the features and actions of a view; rewards are multiplied by ``reward_scale``.
+
+    ``rows`` holds the observations (N, d) of the environments after the last step.
+    """
+
+    def __init__(self, batch: ProbeVecEnv, view: View, config: TaskConfig, reward_scale: float) -> None:
+        super().__init__(batch, *view.spaces)
+        view.columns(config)
+        self.batch, self.view, self.config, self.reward_scale = batch, view, config, reward_scale
+        self.rows: Rows = np.zeros((batch.num_envs, len(config.observations)))
+        self._memory: Rows | None = None
+        self.guided: npt.NDArray[np.float32] | None = None
+        """(N, 2) actions to which the agent's are added, see ``View.guided``."""
+
+    def reset(self) -> VecEnvObs:
+        """Start all episodes."""
+        self.rows = np.asarray(self.venv.reset())
+        features, self._memory = self.view.features(self.config, self.rows, None, np.ones(self.num_envs, dtype=bool))
+        self.guided = self.view.guided(features)
+        return features
+
+    def step_async(self, actions: np.ndarray) -> None:
+        """Convert the actions to those of the environment and store them."""
+        self.venv.step_async(self.view.env_actions(self.config, actions, self.guided))
+
+    def step_wait(self) -> VecEnvStepReturn:
+        """One control period; ``terminal_observation`` has the last features of an ended episode."""
+        rows, rewards, dones, infos = self.venv.step_wait()
+        ended = np.flatnonzero(dones)
+        if len(ended):
+            assert self._memory is not None
+            last = np.array([infos[k]["terminal_observation"] for k in ended])
+            features, _ = self.view.features(self.config, last, self._memory[ended], np.zeros(len(ended), dtype=bool))
+            for k, terminal in zip(ended, features, strict=True):
+                infos[k]["terminal_observation"] = terminal
+        self.rows = np.asarray(rows)
+        features, self._memory = self.view.features(self.config, self.rows, self._memory, np.asarray(dones))
+        self.guided = self.view.guided(features)
+        return features, np.asarray(rewards * self.reward_scale, dtype=np.float32), dones, infos
+
+
+def _new_run(training: Training, seed: int, threads: int | None) -> tuple[ViewVecEnv, Plan, BaseAlgorithm]:
+    """Environments of the training, the plan of the validation without a policy, and the untrained model."""
+    task = training.task.full_observation
+    plan = Plan({}, training.validated_in, (0,), task, training.validation_fidelity, training.environment.probes)
+    env = _environments(training, training.environment.fidelity, threads)
+    set_random_seed(seed)
+    algorithm, name = ALGORITHMS[training.algorithm]
+    interval = training.network.noise_interval
+    exploration = {"use_sde": True, "sde_sample_freq": interval} if interval else {}
+    arguments = training.network.arguments(training.algorithm)
+    model: BaseAlgorithm = algorithm(
+        name, env, policy_kwargs=arguments, device="cpu", seed=seed, **exploration, **training.learning
+    )
+    return env, plan, model
+
+
+def _environments(training: Training, fidelity: str | Fidelity, threads: int | None) -> ViewVecEnv:
+    """Environments of the training at a fidelity, with the features and actions of the agent."""
+    settings, task = training.environment, training.task.full_observation
+    batch = ProbeVecEnv(
+        settings.env_id, settings.num_envs, task, fidelity=fidelity, contexts=training.trained_in,
+        probes=settings.probes, threads=threads, surrogate_map=training.vibration,
+    )  # fmt: skip
+    return ViewVecEnv(batch, training.view, task, settings.reward_scale)
+
+
+def _run_phase(
+    training: Training, model: BaseAlgorithm, env: ViewVecEnv, phase: int, folder: Path, report: Callable[[int], Any]
+) -> None:
+    seed = int(np.random.SeedSequence([int(model.seed or 0), phase]).generate_state(1)[0] % 2**31)
+    set_random_seed(seed)
+    if phase == 0 and training.pretraining_steps:
+        env = _environments(training, SURROGATE, None)
+    env.seed(seed)
+    model.set_env(env, force_reset=True)
+    if phase == 0 and training.imitation is not None:
+        assert training.teacher is not None
+        imitate(model, env, training.teacher, training.imitation, report)  # type: ignore[arg-type]
+        return
+
+    def advance(*_: Any) -> bool:
+        report(env.num_envs)
+        return True
+
+    logs = folder / "logs"
+    logs.mkdir(parents=True, exist_ok=True)
+    formats = [make_output_format("csv", str(logs), f"-{phase:04d}")]  # a resumed phase writes its file again
+    formats.append(make_output_format("tensorboard", str(logs / "tensorboard")))
+    model.set_logger(Logger(str(logs), formats))
+    steps = training.phase_steps if phase else training.pretraining_steps
+    model.learn(steps, advance, reset_num_timesteps=False)
+    model.logger.close()
+
+
+def _validate(
+    training: Training,
+    model: BaseAlgorithm,
+    plan: Plan,
+    threads: int | None,
+    rows: list[dict[str, Any]],
+    trained: dict[str, Any],
+    best: Path,
+) -> dict[str, Any]:
+    """Validate the agent and store it in ``best`` if it is the best so far; returns the row of the phase."""
+    description = Description(
+        algorithm=training.algorithm, network=training.network, view=training.view, task=training.task,
+        tubes=ranges_of(training.trained_in), trained=trained,
+    )  # fmt: skip
+    begin = time.perf_counter()
+    agent = Agent(description, model.policy, plan.config, f"phase {trained['phase']}")
+    table = run_plan(replace(plan, policies={"agent": agent}), None, threads=threads)
+    row = {name: trained[name] for name in ("seed", "phase", "steps")}
+    row |= {name: float(table[name].mean()) for name in ("reward", *VALIDATED)}
+    row["validation_s"] = time.perf_counter() - begin
+    if all(row["reward"] > before["reward"] for before in rows):
+        write_bundle(best, description, model.policy)
+    return row
+
+
+def imitate(model: PPO, env: ViewVecEnv, teacher: Policy, settings: Imitation, report: Callable[[int], Any]) -> None:
+    """Warm start of PPO: the network imitates a teacher (DAgger: Ross, Gordon, Bagnell 2011).
+
+    The teacher acts in the first round, the network in the others; the critic learns the return.
+
+    Args:
+        model: PPO on ``env``.
+        env: environments whose task has the observations of the teacher.
+        teacher: policy with actions of the environment.
+        settings: rounds, steps, epochs, learning rate.
+        report: called after each step with the number of environment steps.
+    """
+    optimiser = torch.optim.Adam(model.policy.parameters(), lr=settings.learning_rate)
+    rounds: list[tuple[Floats, Floats, Floats]] = []
+    for number in range(settings.rounds):
+        rounds.append(_gather(model, env, teacher, max(settings.steps // env.num_envs, 1), number == 0, report))
+        features, actions = (torch.as_tensor(np.concatenate([each[k] for each in rounds])) for k in (0, 1))
+        latest, _, returns = map(torch.as_tensor, rounds[-1])  # the critic learns the return of the latest behaviour
+        policy = model.policy
+        policy.set_training_mode(True)
+        for _ in range(settings.epochs):
+            for rows in torch.split(torch.randperm(len(features)), MINIBATCH):
+                others = torch.randint(len(latest), (MINIBATCH,))
+                gaussian = policy.get_distribution(features[rows]).distribution
+                assert isinstance(gaussian, torch.distributions.Normal)
+                value = policy.predict_values(latest[others]).ravel()
+                critic = torch.nn.functional.smooth_l1_loss(value, returns[others])
+                loss = ((gaussian.mean - actions[rows]) ** 2).mean() + critic
+                optimiser.zero_grad()
+                loss.backward()  # type: ignore[no-untyped-call]
+                optimiser.step()
+        policy.set_training_mode(False)
+
+
+def _gather(
+    model: PPO, env: ViewVecEnv, teacher: Policy, steps: int, teacher_acts: bool, report: Callable[[int], Any]
+) -> tuple[Floats, Floats, Floats]:
+    """Features (n, f), the teacher's actions (n, 2) and discounted returns (n,) of one round."""
+    features = np.asarray(env.reset())
+    state, start = None, np.ones(env.num_envs, dtype=bool)
+    inputs, labels, rewards, dones = [], [], [], []
+    for _ in range(steps):
+        action, state = teacher.predict(env.rows, state, start, deterministic=True)
+        inputs.append(features)
+        labels.append(env.view.agent_actions(env.config, action, env.guided))
+        applied = labels[-1] if teacher_acts else model.predict(features, deterministic=True)[0]
+        new, reward, start, _ = env.step(applied)
+        features = np.asarray(new)
+        rewards.append(reward)
+        dones.append(start)
+        report(env.num_envs)
+    with torch.no_grad():
+        following = model.policy.predict_values(torch.as_tensor(features)).numpy().ravel()
+    returns = np.zeros((steps, env.num_envs), dtype=np.float32)
+    for k in reversed(range(steps)):
+        following = rewards[k] + model.gamma * following * ~dones[k]
+        returns[k] = following
+    return np.concatenate(inputs), np.concatenate(labels), returns.ravel()
+
+
+def save_checkpoint(model: BaseAlgorithm, rows: list[dict[str, Any]], path: Path) -> None:
+    """Write weights, optimisers, step count and learning curve atomically, for SAC also its replay buffer.
+
+    Tensors and plain data only: SB3's files hold pickles, which run code when they are loaded.
+    """
+    state: dict[str, Any] = {"parameters": model.get_parameters(), "rows": rows, "steps": model.num_timesteps}
+    entropy, replay = getattr(model, "log_ent_coef", None), getattr(model, "replay_buffer", None)
+    if entropy is not None:
+        state["log_ent_coef"] = entropy.detach()
+    if replay is not None:
+        state["replay"] = {name: torch.as_tensor(getattr(replay, name)) for name in BUFFER}
+        state["replay_end"] = {"pos": int(replay.pos), "full": bool(replay.full)}
+    buffer = io.BytesIO()
+    torch.save(state, buffer)
+    write_atomically(path, buffer.getvalue())
+
+
+def restore(model: BaseAlgorithm, path: Path) -> list[dict[str, Any]]:
+    """Load the state of a checkpoint; returns the learning curve so far, empty without a checkpoint.
+
+    Raises:
+        FileError: the checkpoint is damaged or of another run. No code in it is run.
+    """
+    if not path.exists():
+        return []
+    try:
+        state = torch.load(io.BytesIO(read_bytes(path, MOST_CHECKPOINT)), weights_only=True, map_location="cpu")
+        rows: list[dict[str, Any]] = state["rows"]
+        if any(row["seed"] != model.seed for row in rows) or rows[-1]["steps"] != state["steps"]:
+            raise ValueError(f"its learning curve is not of seed {model.seed} and {state['steps']} steps")
+        model.set_parameters(state["parameters"])
+        if not all(bool(value.isfinite().all()) for value in model.policy.state_dict().values()):
+            raise ValueError("weights that are not finite")
+        model.num_timesteps = state["steps"]
+        if "log_ent_coef" in state:
+            model.log_ent_coef.data.copy_(state["log_ent_coef"])  # type: ignore[attr-defined]
+        if "replay" in state:
+            replay: Any = model.replay_buffer  # type: ignore[attr-defined]
+            for name, values in state["replay"].items():
+                getattr(replay, name)[:] = values.numpy()
+            replay.pos, replay.full = state["replay_end"]["pos"], state["replay_end"]["full"]
+    except FileError:
+        raise
+    except Exception as error:  # a damaged file can raise any error in torch or SB3
+        reason = f"{type(error).__name__}: {one_line(str(error))[:200]}"
+        hint = "restore the file, or choose another folder and train again"
+        raise FileError(path, f"not a complete checkpoint of this run ({reason}) - {hint}") from error
+    return rows
+
+
+def print_curves(curves: pd.DataFrame) -> None:
+    """Print the phases of all seeds."""
+    titles = {"inspection_time_s": "time [s]", "share_within_limit": "within the limit", "wall_s": "wall [s]"}
+    names = {name: name for name in ("seed", "phase", "steps", "reward")} | titles
+    rows = ([f"{value:.4g}" for value in row] for row in curves[list(names)].itertuples(index=False))
+    print_table("Validation after each phase", list(names.values()), rows, left=0)

@@ -1,0 +1,247 @@
+"""Searches the hyperparameters of an agent: Optuna's TPE over the space of a training file, with a median pruner.
+
+A trial is a training with fewer phases; its value is the best validation reward. Trials are stored in a journal, and
+the sampler is seeded by the number of finished trials, so an interrupted search continues to the same result.
+"""
+
+from __future__ import annotations
+
+import json
+import warnings
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Final
+
+import matplotlib.pyplot as plt
+import numpy as np
+import optuna
+import pandas as pd
+from optuna.distributions import BaseDistribution, CategoricalDistribution, FloatDistribution, IntDistribution
+from optuna.samplers import BaseSampler, PartialFixedSampler, TPESampler
+from optuna.trial import FrozenTrial, TrialState
+from tqdm import tqdm
+
+from probe_agents.records.atomic import write_atomically
+from probe_agents.records.drawing import BLUE, GRID, RED, save
+from probe_agents.records.locks import run_lock
+from probe_agents.records.manifest import origin as made_by
+from probe_agents.records.manifest import write_manifest
+from probe_agents.records.models import Stored, validate
+from probe_agents.records.searches import JOURNAL, open_study
+from probe_agents.terminal.tables import print_line, print_table
+from probe_agents.terminal.work import Work, announce
+from probe_agents.training.config import Axis, Training, axes_of, value_in, with_values
+from probe_agents.training.train import CHECKPOINT, prepare, train
+from probe_env import SimulationError
+from probe_env.files import FileError, one_line
+from probe_env.settings import within
+
+TRIALS: Final = "trials.csv"
+STARTUP_TRIALS: Final = 5
+"""Complete trials before pruning by the median starts."""
+
+
+class Tuning(Stored):
+    """Settings of a search, as stored in the journal.
+
+    Attributes:
+        training: initial values; its first seed is trained.
+        phases: phases of each training, after the warm start.
+        seed: seed of the search.
+    """
+
+    training: Training
+    phases: int
+    seed: int = 0
+
+    @cached_property
+    def axes(self) -> dict[str, Axis]:
+        """Field -> its choices or range."""
+        return axes_of(self.training)
+
+    def sampler(self, number: int) -> BaseSampler:
+        """Sampler of the trial with this number; the first trial has the values of the file that are in the space."""
+        seed = int(np.random.SeedSequence([self.seed, number]).generate_state(1)[0])
+        sampler = TPESampler(seed=seed, multivariate=True, constant_liar=False)
+        values = {name: _label(value_in(self.training, name)) for name in self.axes}
+        fixed = {name: value for name, value in values.items() if _contains(self.axes[name], value)}
+        return sampler if number else PartialFixedSampler(fixed, sampler)
+
+    def with_parameters(self, parameters: dict[str, Any]) -> Training:
+        """The training with the parameters of a trial."""
+        labels = {name: {_label(v): v for v in axis} for name, axis in self.axes.items() if isinstance(axis, tuple)}
+        point = {name: labels[name][value] if name in labels else value for name, value in parameters.items()}
+        return with_values(self.training.model_copy(update={"search": None}), point)
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Settings that must be equal to continue a search: the training with its first seed, phases, seed."""
+        fields: dict[str, Any] = self.model_dump(mode="json")
+        training: dict[str, Any] = fields["training"]
+        return training | {"seeds": training["seeds"][:1], "phases": self.phases, "seed": self.seed}
+
+
+def _distribution(axis: Axis) -> BaseDistribution:
+    if isinstance(axis, tuple):
+        return CategoricalDistribution([_label(value) for value in axis])
+    if isinstance(axis.low, int) and isinstance(axis.high, int):
+        return IntDistribution(axis.low, axis.high, axis.log)
+    return FloatDistribution(axis.low, axis.high, axis.log)
+
+
+def _label(value: Any) -> Any:
+    """A choice as stored by Optuna and in tables: layer widths as text."""
+    return "x".join(map(str, value)) if isinstance(value, tuple) else value
+
+
+def _contains(axis: Axis, value: Any) -> bool:
+    if isinstance(axis, tuple):
+        return value in map(_label, axis)
+    kind = int if isinstance(axis.low, int) and isinstance(axis.high, int) else (int, float)
+    return isinstance(value, kind) and axis.low <= value <= axis.high
+
+
+def search(tuning: Tuning, trials: int, output: Path) -> optuna.Study:
+    """Run or continue a search in a folder; each trial adds a row to trials.csv.
+
+    Raises:
+        FileError: the folder holds another search, or a damaged one.
+    """
+    output.mkdir(parents=True, exist_ok=True)
+    study, origin = open_study(output / JOURNAL, "tuning", ["maximize"], tuning.axes), made_by()
+    if "search" in study.user_attrs:
+        before, now = validate(output / JOURNAL, "", study.user_attrs["search"], Tuning).settings, tuning.settings
+        different = ", ".join(name for name in now if before[name] != now[name])
+        if different:
+            raise FileError(output, f"holds a search with other settings ({different}): choose another folder")
+    study.set_user_attr("search", tuning.model_dump_json())
+    # phase 0 is the warm start, which hardly depends on the hyperparameters
+    study.pruner = optuna.pruners.MedianPruner(n_startup_trials=STARTUP_TRIALS, n_warmup_steps=1)
+    announce(Work("trial", trials, lambda: len(finished(study)), output))
+    distributions = {name: _distribution(axis) for name, axis in tuning.axes.items()}
+    with tqdm(total=trials, initial=min(len(finished(study)), trials), desc="search", unit="trial") as bar:
+        for number in range(len(finished(study)), trials):
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
+                warnings.filterwarnings("ignore", ".*mini-batch size")  # the last one of an epoch may be smaller
+                study.sampler = tuning.sampler(number)
+                trial = study.ask(distributions)
+                _run_trial(tuning, study, trial, output / "trials" / f"{number:04d}", origin)
+            write_atomically(output / TRIALS, trials_table(study).to_csv(index=False))
+            bar.update()
+    return study
+
+
+def _run_trial(tuning: Tuning, study: optuna.Study, trial: optuna.Trial, folder: Path, origin: dict[str, Any]) -> None:
+    """Train from the last checkpoint of the trial; a failed training counts as pruned."""
+    rows: list[dict[str, Any]] = []
+
+    def watch(row: dict[str, Any]) -> None:
+        rows.append(row)
+        trial.report(row["reward"], row["phase"])
+        if row["phase"] < tuning.phases and trial.should_prune():
+            raise optuna.TrialPruned
+
+    update = {"phases": tuning.phases, "seeds": tuning.training.seeds[:1]}
+    training, state = tuning.with_parameters(trial.params).model_copy(update=update), TrialState.COMPLETE
+    ((seed, run),) = prepare(training, folder, True, origin).items()
+    try:
+        train(training, folder, origin, seed, position=1, watch=watch)
+    except FileError:
+        raise
+    except optuna.TrialPruned:
+        state = TrialState.PRUNED
+    except (ValueError, SimulationError) as error:  # weights that are not finite
+        state = TrialState.PRUNED
+        trial.set_user_attr("failed", one_line(str(error)))
+    trial.set_user_attr("commit", origin["commit"])
+    trial.set_user_attr("seconds", sum(row["wall_s"] + row["validation_s"] for row in rows))
+    study.tell(trial, max(row["reward"] for row in rows) if state == TrialState.COMPLETE else None, state)
+    (run / CHECKPOINT).unlink(missing_ok=True)  # a replay buffer may be large
+
+
+def finished(study: optuna.Study) -> list[FrozenTrial]:
+    """Complete and pruned trials by number."""
+    trials = study.get_trials(deepcopy=False, states=(TrialState.COMPLETE, TrialState.PRUNED))
+    return sorted(trials, key=lambda trial: trial.number)
+
+
+def trials_table(study: optuna.Study) -> pd.DataFrame:
+    """Finished trials: number, state, parameters, best reward, phases after the warm start, time, commit."""
+    rows = []
+    for number, trial in enumerate(finished(study)):
+        state = "failed" if "failed" in trial.user_attrs else trial.state.name.lower()
+        rewards = trial.intermediate_values
+        row = {"trial": number, "state": state} | trial.params
+        row |= {"reward": max(rewards.values(), default=np.nan), "phases": max(rewards, default=0)}
+        rows.append(row | {"seconds": trial.user_attrs["seconds"], "commit": trial.user_attrs["commit"]})
+    return pd.DataFrame(rows)
+
+
+def run_tuning(training: Training, trials: int, phases: int | None, output: Path, seed: int) -> pd.DataFrame:
+    """Run the command ``tune``: stores trials.csv, search.png, found.toml and manifest.json.
+
+    Args:
+        training: initial values; its first seed is trained.
+        trials: total number of finished trials.
+        phases: phases of a trial, after the warm start; None: half of the file's.
+        output: folder; a search in it is continued.
+        seed: seed of the search.
+
+    Raises:
+        ValueError: an argument is not valid, the folder holds another search, or another process works in it.
+        RuntimeError: all trainings failed.
+    """
+    if training.phases < 1:
+        raise ValueError("phases = 0 in the training file: a search needs at least one after the warm start")
+    phases = (training.phases + 1) // 2 if phases is None else phases
+    within("phases", phases, 1, training.phases, "")
+    within("trials", trials, 1, 100_000, "")
+    within("seed", seed, 0, 2**32 - 1, "")
+    tuning = Tuning(training=training, phases=phases, seed=seed)
+    with run_lock(output):
+        study = search(tuning, trials, output)
+    table = trials_table(study)
+    write_atomically(
+        output / TRIALS, table.to_csv(index=False)
+    )  # an interrupt may have happened between trial and table
+    complete = [(number, trial) for number, trial in enumerate(finished(study)) if trial.state == TrialState.COMPLETE]
+    if not complete:
+        raise RuntimeError(f"all {len(table)} trainings failed: {finished(study)[-1].user_attrs['failed']}")
+    number, best = max(complete, key=lambda entry: entry[1].values[0])
+    origin = made_by(commits=table["commit"])
+    heading = (
+        f"# Found by: {one_line(origin['command'])}\n# Trial {number} (commit {best.user_attrs['commit']}): reward"
+        f" {best.values[0]:.4g} on the validation tubes, the best phase\n# of a training with {phases} instead of"
+        f" {training.phases} of them and seed {training.seeds[0]} alone.\n"
+    )
+    write_atomically(output / "found.toml", f"{heading}\n{tuning.with_parameters(best.params).to_toml()}")
+    _draw(table, output / "search.png")
+    space = {name: axis if isinstance(axis, tuple) else axis.model_dump() for name, axis in tuning.axes.items()}
+    setting = json.loads(tuning.model_dump_json()) | {"space": space, "trials": len(table), "best": number}
+    write_manifest(output, (TRIALS, "found.toml"), seeds=(seed,), commits=table["commit"], **setting)
+    _print(table)
+    print_line(f"written: {output}/ (found.toml, trials.csv, search.png, manifest.json, trials/)")
+    return table
+
+
+def _draw(table: pd.DataFrame, path: Path) -> None:
+    figure, axis = plt.subplots(figsize=(7, 4), layout="constrained")
+    kinds = (("complete", BLUE, "all phases"), ("pruned", "0.7", "pruned"), ("failed", RED, "failed"))
+    for state, colour, label in kinds:
+        part = table[table["state"] == state]
+        axis.scatter(part["trial"], part["reward"], color=colour, s=16, label=label if len(part) else None)
+    best = table["reward"].where(table["state"] == "complete").cummax()
+    axis.step(table["trial"], best, where="post", color=BLUE, linewidth=1.0, label="best so far")
+    axis.set(xlabel="trial", ylabel="reward on the validation tubes")
+    axis.grid(**GRID)
+    axis.legend(frameon=False, fontsize=8)
+    save(figure, path)
+
+
+def _print(table: pd.DataFrame) -> None:
+    complete = table[table["state"] == "complete"].drop(columns=["state", "phases", "commit"])
+    best = complete.sort_values("reward", ascending=False, kind="stable").head(5)
+    header = [name.replace("seconds", "time [s]") for name in best.columns]
+    rows = ([f"{v:.4g}" if isinstance(v, float) else str(v) for v in row] for row in best.itertuples(index=False))
+    print_table("The best trials", header, rows)
