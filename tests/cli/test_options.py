@@ -5,9 +5,8 @@ import re
 import pytest
 
 from probe_agents.cli import main
-from probe_agents.cli.parsing import positional
+from probe_agents.cli.parsing import parse_fidelity, positional
 from probe_agents.cli.registry import COMMANDS, GROUPS, first_page
-from probe_agents.terminal.fidelities import parse_fidelity
 from probe_env import Fidelity
 from probe_env.fidelity import resolve_fidelity
 from probe_env.physics.methods import METHODS

@@ -18,7 +18,7 @@ from probe_agents.records.manifest import write_json, write_manifest
 from probe_agents.records.models import Journal, complete
 from probe_agents.records.searches import open_study
 from probe_agents.records.tables import read_csv
-from probe_agents.terminal.errors import format_error
+from probe_agents.terminal.messages import format_error
 from probe_env.files import FileError, one_line, read_bytes, read_text
 
 ROOT = Path(__file__).parents[2]

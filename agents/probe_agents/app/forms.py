@@ -16,7 +16,7 @@ from pydantic import ValidationError
 
 from probe_agents.records.atomic import write_atomically
 from probe_agents.records.shipped import file_or_shipped, ships
-from probe_agents.terminal.errors import format_error
+from probe_agents.terminal.messages import format_error
 from probe_env import Plant
 from probe_env.envs.plants import OF_AIR, OF_FEED, Between, with_posterior
 from probe_env.envs.task import VISIBLE_FIELDS, TaskConfig

@@ -13,7 +13,7 @@ from probe_agents.evaluation.folder import UNFINISHED, Unfinished, episodes_of, 
 from probe_agents.evaluation.report import ended
 from probe_agents.evaluation.statistics import endings
 from probe_agents.records.models import read_json
-from probe_agents.terminal.errors import format_error
+from probe_agents.terminal.messages import format_error
 
 REQUEST: Final = "request.json"
 

@@ -130,10 +130,6 @@ def serve(tube: Path | None, port: int, output: Path, show: bool, origin: str | 
         output: folder of runs, schedules and tubes.
         show: open a browser.
         origin: another address of the page, "host:port", which is printed.
-
-    Raises:
-        ValueError: tube, port or origin is not valid.
-        OSError: the port is taken.
     """
     if not 0 <= port <= 65535:
         raise ValueError(f"port = {port!r} is outside the accepted range 0 (any) to 65535")
@@ -161,11 +157,7 @@ def serve(tube: Path | None, port: int, output: Path, show: bool, origin: str | 
 
 
 def make_server(app: AppState, tube: Path | None, port: int, token: str, origin: str | None = None) -> BaseServer:
-    """Make a server, not started, for requests with the token; pages load all files from it.
-
-    Raises:
-        OSError: the port is taken.
-    """
+    """Make a server, not started, for requests with the token; pages load all files from it."""
 
     def collect_garbage(session: Any) -> None:  # of closed pages
         gc.unfreeze()

@@ -34,7 +34,7 @@ from probe_agents.evaluation.plan import BATCH, Plan, RolloutRunner, Unit, run_p
 from probe_agents.evaluation.run import report_settings, write_report
 from probe_agents.policies.catalogue import user_policies
 from probe_agents.records.manifest import write_json
-from probe_agents.terminal.errors import format_error
+from probe_agents.terminal.messages import format_error
 from probe_env import Plant
 from probe_env.envs.episodes import Episodes
 from probe_env.envs.pictures.strip import Watch

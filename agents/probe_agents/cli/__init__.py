@@ -60,7 +60,7 @@ def _run(arguments: Sequence[str]) -> int:
         hint = f"did you mean {closest[0]}?" if closest else f"the commands are {', '.join(COMMANDS)}."
         return _fail(f"there is no command {name!r}: {hint} See probe-env --help")
     from probe_agents.cli.extras import extra_with
-    from probe_agents.terminal.errors import format_error
+    from probe_agents.terminal.messages import format_error
     from probe_env import SimulationError
     from probe_env.files import one_line
 
@@ -70,7 +70,7 @@ def _run(arguments: Sequence[str]) -> int:
     logger.setLevel(logging.INFO)
     try:
         from probe_agents.cli.parsing import parse, positional
-        from probe_agents.terminal.notices import announce_compilation
+        from probe_agents.terminal.messages import announce_compilation
 
         module, _, kind = COMMANDS[name][0].partition(":")
         command_class: Any = getattr(import_module(f"probe_agents.cli.{module}"), kind)

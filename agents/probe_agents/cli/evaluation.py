@@ -59,11 +59,11 @@ class Evaluate:
 
     def run(self) -> None:
         """Run what is missing, print, write the report; of a stored evaluation the report alone."""
+        from probe_agents.cli.parsing import parse_fidelity
         from probe_agents.evaluation.folder import is_evaluation
         from probe_agents.evaluation.run import evaluate, report_again
         from probe_agents.evaluation.statistics import BAR
         from probe_agents.policies.catalogue import is_schedule_file
-        from probe_agents.terminal.fidelities import parse_fidelity
 
         folder = Path(self.policies[0]) if len(self.policies) == 1 else Path()
         named = folder.is_dir() and len(folder.parts) > 1 and not folder.suffix

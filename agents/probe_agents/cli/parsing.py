@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import inspect
 import io
 import os
@@ -15,6 +16,7 @@ from typing import Annotated, Any, Final
 import tyro
 from pydantic import ValidationError
 
+from probe_env.fidelity import Fidelity
 from probe_env.settings import explain
 
 OPTIONS: Final = {"Scene": "--scene", "Tube": "--scene.tube", "Probe": "--scene.probe", "Contact": "--scene.contact",
@@ -83,3 +85,22 @@ def positional(arguments: Sequence[str]) -> str | None:
         if "=" not in argument and argument not in ("-h", "--help"):
             next(rest, None)
     return None
+
+
+def parse_fidelity(text: str, field: str = "fidelity") -> str | Fidelity:
+    """Settings in braces as a ``Fidelity``; any other text is a name.
+
+    Args:
+        text: value of the option.
+        field: name of the option, for the error.
+    """
+    if not text.lstrip().startswith("{"):
+        return text
+    try:
+        return Fidelity.model_validate(ast.literal_eval(text.strip()))
+    except ValidationError as error:
+        raise ValueError(explain(error, field)) from error
+    except (ValueError, SyntaxError, RecursionError, MemoryError) as error:
+        raise ValueError(
+            f"{field} = {text[:80]!r} is neither a name nor settings such as {{'method': 'imex'}}"
+        ) from error

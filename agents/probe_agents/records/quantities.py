@@ -156,11 +156,7 @@ class ColumnOption(NamedTuple):
 
 
 def parse_columns(texts: Sequence[str]) -> tuple[ColumnOption, ...]:
-    """Parse the values of ``--columns``.
-
-    Raises:
-        ValueError: not HEAD=QUANTITY, an unknown quantity, or one quantity from two columns.
-    """
+    """Parse the values of ``--columns``."""
     options: dict[str, ColumnOption] = {}
     for text in texts:
         head, _, right = text.rpartition("=")

@@ -185,7 +185,6 @@ def read_schedule(path: str | Path) -> Schedule:
     """Read a schedule; it may have the headings, units, separators and the workbook that a log may have.
 
     Raises:
-        FileNotFoundError, FileError: as ``Schedule.read`` and ``read_channels``.
         ModuleNotFoundError: openpyxl or pint is not installed.
     """
     rows = _schedule_rows(Path(path))
@@ -360,9 +359,6 @@ def _blank_markers(values: FloatArray, declared: Sequence[float], suspect: bool)
 
     Returns:
         the markers that were found.
-
-    Raises:
-        CellError: a suspect number.
     """
     found = [number for number in declared if (values == number).any()]
     values[np.isin(values, found)] = np.nan

@@ -101,9 +101,6 @@ def days_of(dates: Any, clocks: Any, form: str = "") -> FloatArray | None:
     """Days (rows,) from any origin of trimmed dates beside clock times; None if those tell the time without them.
 
     This holds for timestamps, numbers, and clock times of a single day: midnight is detected from the clock.
-
-    Raises:
-        CellError: not a date.
     """
     timed = ~matches(clocks, MISSING)
     days = pc.replace_substring_regex(dates, _MIDNIGHT, "")
@@ -126,10 +123,6 @@ def seconds(cells: Any, form: str = "", days: FloatArray | None = None) -> Float
         cells: texts.
         form: their form for ``strptime``; empty: detected.
         days: (rows,) days of clock times, of ``days_of``.
-
-    Raises:
-        CellError: not a time, or of another form than the first.
-        ValueError: not a form.
     """
     missing = matches(cells, MISSING)
     rows = np.flatnonzero(~missing)

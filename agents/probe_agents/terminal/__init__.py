@@ -1,4 +1,1 @@
-"""Terminal: fidelity arguments, names, tables, errors and progress messages.
-
-Imports no other part of ``agents``.
-"""
+"""Terminal: names, tables, messages and progress. Imports no other part of ``probe_agents``."""

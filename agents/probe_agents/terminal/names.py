@@ -32,9 +32,6 @@ def checked_name(name: str, what: str, hint: str = "") -> str:
         name: name of a policy or a design.
         what: kind of object, for the error.
         hint: advice, for the error.
-
-    Raises:
-        ValueError: the name is not valid.
     """
     problem = name_problem(name)
     if problem:

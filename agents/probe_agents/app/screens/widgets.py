@@ -15,7 +15,7 @@ from bokeh.themes import Theme
 from probe_agents.app.forms import ReplaceError
 from probe_agents.app.state import Session
 from probe_agents.records.drawing import PALETTE, colours, policy_colours
-from probe_agents.terminal.errors import format_error
+from probe_agents.terminal.messages import format_error
 from probe_env.settings import closest, within
 
 REPORT_URL: Final = "/report/"
@@ -142,11 +142,7 @@ def control(kind: Any, title: str, changed: Callable[[], None] | None = None, wi
 
 
 def check_offered(*widgets: Any) -> None:
-    """Check that the values of widgets are among those that they offer; a request need not come from a browser.
-
-    Raises:
-        ValueError: names the field.
-    """
+    """Check that the values of widgets are among those that they offer; a request need not come from a browser."""
     for widget in widgets:
         if isinstance(widget, models.Spinner):
             within(widget.title, widget.value or widget.low, widget.low, widget.high, "")

@@ -1,11 +1,17 @@
-"""Formats errors for the terminal and the app."""
+"""Messages in the terminal and the app: errors in one line, compilation."""
 
 from __future__ import annotations
 
 import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
+from numba.core import event
 from pydantic import ValidationError
+from tqdm import tqdm
 
 from probe_env.files import escaped, one_line
 from probe_env.settings import explain
@@ -43,3 +49,24 @@ def _working_folder_deleted() -> bool:
     except FileNotFoundError:
         return True
     return False
+
+
+class _Once(event.Listener):
+    """Prints a message at the first kernel that is not in numba's cache."""
+
+    announced = False
+
+    def on_start(self, event: Any) -> None:
+        if not self.announced:
+            self.announced = True
+            tqdm.write("compiling kernels; later runs use the cache", file=sys.stderr)
+
+    def on_end(self, event: Any) -> None:
+        pass
+
+
+@contextmanager
+def announce_compilation() -> Iterator[None]:
+    """Context that prints a message when a kernel is compiled, which takes seconds to a minute."""
+    with event.install_listener("numba:compile", _Once()):
+        yield
