@@ -185,6 +185,31 @@ def test_fields_change_what_they_say(tmp_path: Path) -> None:
     assert settings[0].plan.contexts == load_contexts("test")[:1]
 
 
+def test_surrogate_runs_and_refuses_what_its_map_lacks(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A setting that the map does not predict is refused before any other is run."""
+    text = """
+    question = "?"
+    policies = ["constant"]
+    fidelity = ["surrogate", "fast"]
+    limit = 2
+    [vary]
+    "task.ramp" = [0.5, 0.1]
+    [compare]
+    metrics = ["reward", "a90_95_percent_wall"]
+    """
+    path, output = tmp_path / "surrogate.toml", tmp_path / "out"
+    path.write_text(text)
+    command = ["study", str(path), "--fidelity", "surrogate", "--output", str(output)]
+    assert main(command) == 0
+    assert len(pd.read_csv(output / "episodes.csv")) == 4
+    compared = pd.read_csv(output / "comparison.csv").pivot(index="task.ramp", columns="metric", values="mean")
+    assert compared.notna().all().to_dict() == {"reward": True, "a90_95_percent_wall": False}
+    path.write_text(text.replace('"task.ramp" = [0.5, 0.1]', '"task.friction_drift" = [0.0, 0.2]'))
+    assert main([*command[:-1], str(tmp_path / "none")]) == 2
+    assert "without friction_drift" in capsys.readouterr().err
+    assert not (tmp_path / "none").exists()
+
+
 def test_sweeps_are_of_one_policy_each_and_training_seeds_are_one(tmp_path: Path) -> None:
     text = """
     question = "?"

@@ -31,6 +31,7 @@ from probe_agents.records.manifest import write_manifest
 from probe_agents.studies.run import Setting
 from probe_agents.studies.spec import Changes, Study
 from probe_agents.terminal.tables import print_table
+from probe_env.inspection.metrics import POD_NAMES
 
 LINEAR_SHARE: Final = 0.02
 """Ratio of median to largest difference below which the axis is logarithmic."""
@@ -41,7 +42,8 @@ def compare(study: Study, settings: Sequence[Setting], episodes: pd.DataFrame) -
 
     Columns: those of policy and setting, then tubes, metric, mean, low, high, rank (among the policies of a setting, 1:
     the best), baseline, difference, difference_low and difference_high. ``a90_95_percent_wall`` has no interval; its
-    difference is that of a90. With ``compare.upper`` also share_of_lead, share_low and share_high of the reward.
+    difference is that of a90; both are NaN in the surrogate, which has no signal. With ``compare.upper`` also
+    share_of_lead, share_low and share_high of the reward.
 
     Raises:
         ValueError: a metric is not in the episodes; see ``baselines``.
@@ -52,6 +54,9 @@ def compare(study: Study, settings: Sequence[Setting], episodes: pd.DataFrame) -
     names = {key: str(number) for number, key in enumerate(groups)}
     # the statistics compare policies: each group gets the name of one
     labelled = pd.concat([part.assign(policy=names[key]) for key, part in groups.items()])
+    if not {*POD_NAMES} <= {*labelled}:  # the surrogate has no signal
+        labelled = labelled.assign(**dict.fromkeys(POD_NAMES, np.nan))
+    has_pod = labelled.groupby("policy")[POD_NAMES[0]].count() > 0
     missing = [metric for metric in metrics if metric not in (*episodes.columns, *OVER_TUBES)]
     if missing:
         raise ValueError(f"compare.metrics: {', '.join(missing)} is not measured in this task")
@@ -61,10 +66,13 @@ def compare(study: Study, settings: Sequence[Setting], episodes: pd.DataFrame) -
         over_tubes = metric in OVER_TUBES
         mean = mean_interval(by_context(labelled, name, metric).to_numpy()) if not over_tubes else None
         row = dict(zip(columns, key, strict=True)) | {"tubes": groups[key]["context"].nunique(), "metric": metric}
-        row |= asdict(mean) if mean else {"mean": a90_95(labelled, name), "low": np.nan, "high": np.nan}
+        depth = a90_95(labelled, name) if over_tubes and has_pod[name] else np.nan
+        row |= asdict(mean) if mean else {"mean": depth, "low": np.nan, "high": np.nan}
         for baseline in chosen:
             other = names[_replaced(columns, key, baseline, groups)]
-            if over_tubes:
+            if over_tubes and not (has_pod[name] and has_pod[other]):
+                change = Interval(*(math.nan,) * 3)
+            elif over_tubes:
                 change = difference_of_a90(curves_by_tube(labelled, name), curves_by_tube(labelled, other))
             else:
                 change = paired_difference(labelled, name, other, metric)
@@ -187,6 +195,8 @@ def _label_and_factor(metric: str) -> tuple[str, float]:
 def _cell(row: Mapping[Any, Any]) -> str:
     """Mean, difference and its interval, in the units of ``_label_and_factor``."""
     factor = _label_and_factor(row["metric"])[1]
+    if math.isnan(row["mean"]):
+        return "-"
     mean = short(factor * row["mean"])
     change = Interval(row["difference"], row["difference_low"], row["difference_high"])
     if change.mean == 0.0 and not change.low < change.high:  # the baseline itself

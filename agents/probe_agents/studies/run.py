@@ -25,10 +25,11 @@ from probe_agents.policies.policy import OutsideDomain, Policy
 from probe_agents.policies.wrappers import RoundTripPolicy
 from probe_agents.studies.spec import Changes, Study
 from probe_env import Plant
+from probe_env.envs.env import check_tubes
+from probe_env.envs.episodes.starts import EpisodeSampler, settling
 from probe_env.envs.task import TaskConfig
 from probe_env.fidelity import Fidelity, resolve_fidelity
 from probe_env.machine import available_cores
-from probe_env.physics.methods import METHODS
 from probe_env.settings import explain
 
 RECOMMENDED: Final = ("recommended", "recommended-law")
@@ -76,7 +77,8 @@ def run_study(settings: list[Setting], output: Path, workers: Workers = HERE) ->
     for number, setting in enumerate(settings, start=1):
         print(f"{number} of {len(settings)}: {', '.join(f'{k} = {v}' for k, v in setting.values.items())}", flush=True)
         # methods without lanes run few episodes at a time, so that each is stored when it ends
-        batch = BATCH if METHODS[setting.plan.fidelity.method].width > 1 else available_cores()
+        fidelity = setting.plan.fidelity
+        batch = BATCH if not fidelity.simulates or fidelity.numerics[0].width > 1 else available_cores()
         table = run_plan(setting.plan, output / "episodes" / setting.folder, batch=batch, workers=workers)
         columns = pd.DataFrame([setting.members[name] for name in table["policy"]], index=table.index)
         tables.append(pd.concat([columns.assign(**setting.values), table.drop(columns="policy")], axis=1))
@@ -97,11 +99,13 @@ def _setting(study: Study, fidelity: str, changes: Changes) -> Setting:
             accuracy = resolve_fidelity(accuracy.model_copy(update=update), config.scene, round_trip=config.returns)
         policy_config = config if study.policies_know == "varied task" else unvaried
         policies, members = _policies(study, policy_config, case, plant)
+        sampler = EpisodeSampler(config, case.contexts, "scene", *settling(config, {}))
+        check_tubes(sampler, case.contexts, accuracy, case.vibration)
     except (ValueError, TypeError) as error:
         problem = explain(error) if isinstance(error, ValidationError) else str(error)
         where = ", ".join(f"{name} = {value!r}" for name, value in (study.set | changes).items())
         raise ValueError(f"{where}: {problem}" if where else problem) from error
-    plan = Plan(policies, case.contexts, study.seeds, config, accuracy)
+    plan = Plan(policies, case.contexts, study.seeds, config, accuracy, vibration=case.vibration)
     values = {"fidelity": fidelity} | {name: _value(name, changes, config, plan.fidelity) for name in study.varied}
     return Setting(values, plan, members, _folder(values))
 
