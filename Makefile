@@ -104,7 +104,7 @@ browser: setup
 test-app: browser
 	PROBE_ENV_CHROMIUM=$(CHROMIUM) PROBE_ENV_PICTURES=$(PICTURES) $(BIN)/pytest tests/browser
 
-# the site, with warnings as errors, and the check of its links
+# the site, with warnings such as broken links as errors, and its tests
 SITE := output/docs
 docs: setup
 	rm -rf $(SITE)

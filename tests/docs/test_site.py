@@ -1,4 +1,4 @@
-"""The site opens from disk: nothing comes from outside, and every link leads somewhere."""
+"""The site opens from disk: it requests nothing from other hosts, and Sphinx warns of every broken link."""
 
 import os
 import re
@@ -8,9 +8,14 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
-from links import problems
 
 ROOT = Path(__file__).parents[2]
+REQUEST = re.compile(
+    r"""<(?:img|script|iframe|source|video)\b[^>]*\bsrc(?:set)?=["'](?:https?:)?//"""
+    r"""|<link\b[^>]*href=["'](?:https?:)?//|@import\s+["'](?:https?:)?//|url\(\s*["']?(?:https?:)?//"""
+    r"""|\b(?:fetch|import|importScripts|open|new (?:WebSocket|EventSource|Worker))\s*\(\s*["'`][^)]*?//"""
+)
+"""A page, style sheet or script that loads something from another host."""
 SITE = "PROBE_ENV_SITE"
 """Environment variable that names a site that is built already; `make docs` sets it."""
 
@@ -29,9 +34,10 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow
-def test_every_page_is_built_and_every_link_leads_somewhere(site):
-    """Nothing comes from outside, and what stands for code is filled in."""
-    assert problems(site) == []
+def test_pages_are_complete_and_request_no_other_host(site):
+    files = [path for path in site.rglob("*") if path.suffix in (".html", ".css", ".js")]
+    assert len(files) > 20
+    assert [path.name for path in files if REQUEST.search(path.read_text(encoding="utf-8"))] == []
     for path in (ROOT / "docs").rglob("*.md"):
         page = path.relative_to(ROOT / "docs")
         assert "from code:" not in (site / page.with_suffix(".html")).read_text(), page
@@ -58,39 +64,19 @@ def test_formulas_are_drawn_by_the_browser_and_none_is_left_as_text(site):
     assert drawn > 20
 
 
-GOOD = '<html><body><h1 id="top">A</h1><a href="b.html#place">b</a><a href="https://example.org">out</a></body></html>'
-WRONG = [
-    ('<a href="c.html">', "c.html, which is not there"),
-    ('<a href="b.html#nowhere">', "b.html has no such place"),
-    ('<a href="#nowhere">', "a.html has no such place"),
-    ('<a href="/b.html">', "not relative"),
-    ('<a href="../outside.html">', "not there"),
-    ('<img src="picture.png">', "picture.png, which is not there"),
-    ('<img src="https://example.org/picture.png">', "from outside"),
-    ('<img srcset="//example.org/picture.png 2x">', "from outside"),
-    ('<script src="https://example.org/code.js"></script>', "from outside"),
-    ('<script>fetch("https://example.org/data.json")</script>', "asks outside"),
-    ('<link rel="stylesheet" href="https://example.org/style.css">', "from outside"),
-    ('<link rel="preconnect" href="https://example.org">', "from outside"),
-    ("<style>@import 'https://example.org/style.css';</style>", "from outside"),
-    ('<p style="background: url(https://example.org/picture.png)">', "from outside"),
-    ('<iframe src="https://example.org"></iframe>', "from outside"),
-]
-STYLES = ("@font-face { src: url('//example.org/font.woff2'); }", "p { background: url(gone.png) }")
-
-
-def test_what_is_wrong_with_a_page_or_a_style_sheet_is_noticed(tmp_path):
-    assert problems(tmp_path) == [f"{tmp_path}: no pages"]
-    (tmp_path / "site").mkdir()
-    (tmp_path / "outside.html").write_text(GOOD)
-    (tmp_path / "site/b.html").write_text('<p id="place">')
-    (tmp_path / "site/a.html").write_text(GOOD)
-    assert problems(tmp_path / "site") == []
-    for wrong, message in WRONG:
-        (tmp_path / "site/a.html").write_text(GOOD.replace("</body>", f"{wrong}</body>"))
-        (fault,) = problems(tmp_path / "site")
-        assert message in fault
-    (tmp_path / "site/a.html").write_text(GOOD)
-    for style in STYLES:
-        (tmp_path / "site/style.css").write_text(style)
-        assert len(problems(tmp_path / "site")) == 1
+@pytest.mark.parametrize(
+    "text",
+    [
+        '<img src="https://example.org/picture.png">',
+        '<img srcset="//example.org/picture.png 2x">',
+        '<script src="https://example.org/code.js"></script>',
+        '<script>fetch("https://example.org/data.json")</script>',
+        '<link rel="stylesheet" href="https://example.org/style.css">',
+        "<style>@import 'https://example.org/style.css';</style>",
+        "@font-face { src: url('//example.org/font.woff2'); }",
+        '<iframe src="https://example.org"></iframe>',
+    ],
+)
+def test_requests_to_other_hosts_are_recognized(text):
+    assert REQUEST.search(text)
+    assert not REQUEST.search('<a href="https://example.org"><img src="a.png"><link rel="icon" href="b.svg">')

@@ -135,13 +135,18 @@ def test_the_wheel_holds_what_users_name(wheel):
         *(f"{shipped}/{name}" for name in ("schedules/example.csv", "logs/example-rig.csv", "tubes/example.toml")),
     }  # fmt: skip
     assert (bundles | files | data) - names == set()
-    assert not [n for n in names if n.endswith("-trials.csv") or n.startswith(("results/", "configs/", "tests/"))]
+    assert not [n for n in names if n.endswith("-trials.csv")]
+    top = {name.partition("/")[0] for name in names if ".dist-info/" not in name}
+    assert top == {"probe_env", "probe_agents"}  # openai-agents and many a user's folder are called agents
     assert any(name.endswith("licenses/LICENSE") for name in names)
     for line in (f"Version: {version('probe-env')}", "License-Expression: MIT", *(f"Extra: {e}" for e in EXTRAS)):
         assert line in metadata
 
 
-def test_by_name_in_an_empty_folder(run, python):
+def test_installed_commands_beside_a_folder_agents(run, python, tmp_path, monkeypatch):
+    (tmp_path / "agents").mkdir()
+    (tmp_path / "agents" / "__init__.py").write_text("raise ImportError('a package of the user')")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     out, _ = run(
         "python", "-c", "import probe_env, probe_agents; print(probe_env.__file__); print(probe_agents.__file__)"
     )

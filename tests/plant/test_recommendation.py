@@ -238,22 +238,3 @@ def test_a_misspecified_calibration_needs_anyway(
     assert (main(["recommend", *arguments]) == 0) == output.exists() == (not misspecified)
     assert ("tube.toml: posterior: the calibration is misspecified" in capsys.readouterr().err) == misspecified
     assert main(["recommend", *arguments, "--anyway"]) == 0
-
-
-def test_what_is_refused_writes_nothing(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """In one line, before anything is searched."""
-    monkeypatch.chdir(tmp_path)
-    for arguments, problem in (
-        (["--output", "my.txt"], "output = 'my.txt' is not a CSV file"),
-        (["--policy", "my.txt"], "policy = 'my.txt' is not a JSON file"),
-        (["nowhere.csv"], "no such file: nowhere.csv"),
-        (["own.csv", "--no-simulated"], "schedules need the simulation"),
-        (["--limit", "100"], "limit = 100 is outside the accepted range 0 (all) to 48"),
-        (["--fidelity", "fine"], "fidelity = 'fine' is not one of"),
-        (["--tube", "nowhere.toml"], "no such file: nowhere.toml"),
-    ):
-        assert main(["recommend", *arguments]) != 0
-        assert problem in capsys.readouterr().err
-        assert not list(tmp_path.iterdir())

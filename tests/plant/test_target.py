@@ -102,24 +102,6 @@ def test_the_target_is_met_in_simulations() -> None:
     assert SEARCH.fastest(0.9 * least.limit) is None
 
 
-def test_what_find_cannot_do_is_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """In one line, before anything is searched."""
-    (tmp_path / "both.toml").write_text('[task]\npasses = "both"\n')
-    monkeypatch.chdir(tmp_path)
-    for arguments, problem in (
-        (["a50=20"], "find = 'a50=20' is not a90=PERCENT"),
-        (["a90=20", "--no-simulated"], "find needs the simulation"),
-        (["a90=20", "--policy", "law.json"], "policy = 'law.json': a law follows from the reward"),
-        (["a90=20", "--fidelity", "surrogate"], "fidelity = 'surrogate' has no signal"),
-        (["a90=20", "--tube", "both.toml"], "task.passes = 'both': --find is for the insertion alone"),
-    ):
-        assert main(["recommend", "--find", *arguments]) == 2
-        assert problem in capsys.readouterr().err
-        assert [path.name for path in tmp_path.iterdir()] == ["both.toml"]
-
-
 @pytest.mark.slow
 def test_at_least_95_percent_of_other_tubes_keep_the_target(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """In tubes that were not searched in; with a share of 5 % above it, more than the bound are by chance of 1e-4."""

@@ -4,7 +4,6 @@ import re
 from pathlib import Path
 
 from plans import CONFIG, make_plan
-from poisons import FAST
 
 from probe_agents.cli import main
 from probe_agents.evaluation.plan import run_plan
@@ -19,7 +18,7 @@ from probe_env.envs.task import TaskConfig
 HEAD = "inserted_length_m,feed_speed_m_per_s,air_supply_m3_per_h\n"
 
 
-def test_names_that_are_refused(refused):
+def test_names_that_are_refused():
     failures = []
     for name in ("=1+1", "@SUM(A1)", "+1+1", "-1", "\tx", "a\x1b[31mb", "a\nb", "x" * 81, " x", "", "\u202ecsv"):
         try:
@@ -29,7 +28,6 @@ def test_names_that_are_refused(refused):
             if not re.match("policy .* NAME=FILE gives a name", str(error), re.DOTALL):
                 failures.append(str(error))
     assert failures == []
-    refused(["evaluate", "a\x1b[31mb=constant", *FAST], "policy ", "NAME=FILE gives a name")
 
 
 def test_files_of_any_name(tmp_path, monkeypatch):
