@@ -7,7 +7,8 @@ import numpy as np
 import pandas as pd
 import pytest
 from oracles.scatter import hits_within
-from scipy.stats import betabinom, binom
+from scipy.optimize import brentq
+from scipy.stats import betabinom, binom, norm
 
 from probe_agents.evaluation import figures
 from probe_agents.evaluation.kpis import CORE, HIGH, KPIS
@@ -69,6 +70,15 @@ def test_ratio_intervals_cover_and_equal_the_normal_ones(seeds):
         covered += low <= 1.2 <= high
     least, most = hits_within(trials, 0.92, 0.96)
     assert least <= covered <= most
+
+
+@pytest.mark.parametrize("count", [3, 6])
+def test_the_last_bit_of_a_value_moves_no_interval(count):
+    values = np.random.default_rng(2).normal(10.0, 5.0, count)
+    exact = astuple(mean_interval(values))
+    for draw in range(20):
+        towards = np.random.default_rng(draw).choice([-np.inf, np.inf], count)
+        assert astuple(mean_interval(np.nextafter(values, towards))) == pytest.approx(exact, rel=1e-12)
 
 
 def test_means_of_special_cases():
@@ -225,17 +235,19 @@ def test_bands_and_curves_of_a_stored_evaluation(tmp_path, capsys):
 
 
 @pytest.mark.parametrize("tubes", [1, 40, 4000])
-def test_the_hours_of_a_bundle_have_the_scatter_of_the_mean_and_of_its_tubes(tubes):
-    """Half the width is 1.96 s sqrt(N^2/n + N); the ends of 2000 resamples scatter by 2.2 % of the width.
+def test_bundle_hours_of_two_tubes_in_closed_form(tubes):
+    """The bootstrap mean of two times is the first (1/4), their mean (1/2) or the second (1/4); s / sqrt(N) is added.
 
-    Without the tubes' own scatter it is 0.16, 0.71 and 0.995 of this.
+    The ends are percentiles of 2,000 draws: their standard error is sqrt(p (1 - p) / 2000) over the density.
     """
-    times = np.random.default_rng(4).normal(400.0, 60.0, size=40)
-    hours, _, _ = bundle_hours(times, np.zeros(40, dtype=bool), tubes)
-    assert hours.mean == pytest.approx(tubes * times.mean() / 3600.0)
-    half = 1.96 * times.std(ddof=1) * np.sqrt(tubes**2 / 40 + tubes) / 3600.0
-    assert 0.5 * (hours.high - hours.low) == pytest.approx(half, rel=0.1)
-    assert hours.low < hours.mean < hours.high
+    times = np.array([300.0, 420.0])
+    hours, _, _ = bundle_hours(times, np.zeros(2, dtype=bool), tubes)
+    assert hours.mean == pytest.approx(tubes * 360.0 / 3600.0)
+    means, weights, scatter = np.array([300.0, 360.0, 420.0]), np.array([0.25, 0.5, 0.25]), 120.0 / np.sqrt(2.0 * tubes)
+    for p, end in ((0.025, hours.low), (0.975, hours.high)):
+        exact = brentq(lambda x, p=p: weights @ norm.cdf(x, means, scatter) - p, -1000.0, 2000.0)
+        error = np.sqrt(p * (1.0 - p) / 2000) / (weights @ norm.pdf(exact, means, scatter))
+        assert abs(end * 3600.0 / tubes - exact) <= 3.9 * error  # chance of 1e-4 each
 
 
 def test_equal_times_give_exact_hours_and_a_beta_binomial_number_of_second_passes():

@@ -24,6 +24,8 @@ PERCENTILES: Final = (50.0 * (1.0 - CONFIDENCE), 50.0 * (1.0 + CONFIDENCE))
 """Percentiles of the ends of an interval."""
 RESAMPLES: Final = 2000
 """Number of bootstrap samples of ``bootstrap_means``."""
+TIE: Final = 1e-9
+"""Difference of two equal statistics, over the range of all resamples: rounding only."""
 A90_BOUND: Final = 95.0
 """Percentile of the resampled a90: a90/95."""
 DEPTH_COLUMNS: Final = ("policy", "a50_percent_wall", "a90_percent_wall", "a90_95_percent_wall")
@@ -71,17 +73,28 @@ def bootstrap_ends(
 ) -> tuple[Any, Any]:
     """Ends of a statistic's 95 % bootstrap interval with a fixed seed; BCa falls back to percentiles.
 
+    In small samples many resamples are permutations of the sample. Their statistic equals that of the sample up to
+    rounding, and BCa counts how many are below it: they are made equal, so that the last bit changes no interval.
+
     Args:
         statistic: function of the samples and ``axis``, unless ``vectorized=False``.
         samples: independent samples (paired with ``paired=True``).
         method: method of ``scipy.stats.bootstrap``.
         options: further arguments of ``scipy.stats.bootstrap``.
     """
+
+    def without_rounding(*resamples: np.ndarray, axis: int) -> Any:
+        values = np.asarray(statistic(*resamples, axis=axis))
+        ties = np.abs(values - observed) <= TIE * np.ptp(values)
+        return np.where(ties, observed, values)
+
+    observed = statistic(*samples, axis=-1) if method == "BCa" else None
+    function = statistic if observed is None else without_rounding
     for kind in dict.fromkeys((method, "percentile")):
         rng = np.random.default_rng(0)
         with warnings.catch_warnings(), np.errstate(divide="ignore", invalid="ignore"):
             warnings.simplefilter("ignore", DegenerateDataWarning)
-            result = bootstrap(samples, statistic, confidence_level=CONFIDENCE, method=kind, rng=rng, **options)
+            result = bootstrap(samples, function, confidence_level=CONFIDENCE, method=kind, rng=rng, **options)
         low, high = result.confidence_interval
         if np.isfinite([low, high]).all():
             break
