@@ -160,7 +160,7 @@ def resolve_fidelity(
         scene: scene for "auto"; default: table 2. If its cable touches the walls between floats, or its couple counts
             from the tangent, a mesh of nodes replaces superelements: the method is that of ``ON_MESH`` with
             ``MESH_NODES`` per pitch, equal time-lapse, and a step of at most ``MESH_STEP``. Logged once.
-        growing: whether the probe is inserted, for "auto".
+        growing: whether the probe is inserted; time-lapse is not used at constant length.
         round_trip: whether the probe is also withdrawn.
 
     Raises:
@@ -171,6 +171,8 @@ def resolve_fidelity(
         return _round_trip(fidelity)
     scene = scene or Scene()
     chosen = _preset_or_settings(fidelity, scene, growing)
+    if not growing:
+        chosen = chosen.model_copy(update={"time_lapse": 1.0, "steady_feed": None})
     needs_nodes = scene.contact.cable or scene.couple == "tangent"
     if not needs_nodes or chosen.method in ON_NODES or not chosen.simulates:
         return chosen

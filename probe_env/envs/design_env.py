@@ -87,7 +87,7 @@ class DesignEnv(Specified, gym.Env[Observation, Observation]):
 
     ## Arguments
     * `config`, `scene`, `contexts`, `tube`: as for `Insertion-v1`.
-    * `fidelity`: preset or settings; time-lapse applies to whole insertions only. Default "standard".
+    * `fidelity`: preset or settings; default "fast", whose time-lapse applies to whole insertions only.
     * `feed`: `Schedule` over inserted length; default the study's 0.2 m/s and 63 m3/h, or the nearest values in
       the task's range. For whole insertions also a policy with SB3's `predict`.
     * `full`: whole insertions instead of sections; each takes about 5 s.
@@ -116,7 +116,7 @@ class DesignEnv(Specified, gym.Env[Observation, Observation]):
         self.sampler = EpisodeSampler(self.config, self.contexts, "random", *settling(self.config, {}))
         self.fidelity = resolve_fidelity(remaining.get("fidelity", DEFAULTS["fidelity"]), self.sampler.stiffest, full)
         if not self.fidelity.simulates:
-            raise ValueError("fidelity = 'surrogate' is for Insertion-v1 only: designs are simulated, use standard")
+            raise ValueError("fidelity = 'surrogate' is for Insertion-v1 only: designs are simulated, use fast")
         self.feed, self.full, self.render_mode = feed or STUDY_FEED, full, render_mode
         if not full and not isinstance(self.feed, Schedule):
             raise ValueError("feed: sections of constant length need a Schedule; a policy needs full = True")

@@ -262,7 +262,7 @@ class InsertionEnv(ProbeEnv):
       contexts are sampled. `config` then changes fields of its task.
     * `scene`: base scene without a `tube`; default table 2 of the study. A `Scene`, or a mapping of changed fields such
       as `{"tube": {"inner_diameter": 0.025}}`, which `spec.to_json()` can store.
-    * `fidelity`: "standard", "fast", another preset, "auto" or custom settings, see `probe_env.fidelity`. "surrogate"
+    * `fidelity`: "fast" (default), another preset, "auto" or settings, see `probe_env.fidelity`. "surrogate"
       predicts from a vibration map instead of simulating, tens of times faster, for training; it has no render mode.
     * `surrogate_map`: file of the map, for "surrogate" only. Default: NAME-map.npz next to the file of the `tube`, if
       it exists, else the map of table 2's tubes.

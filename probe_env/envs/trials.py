@@ -364,7 +364,7 @@ def check_candidate(
 def try_insertions(
     candidates: Sequence[Candidate],
     config: TaskConfig,
-    fidelity: Fidelity | str = "standard",
+    fidelity: Fidelity | str = "fast",
     threads: int | None = None,
 ) -> Trial:
     """N whole insertions, averaged per metre of the sensor's position; arguments as in ``try_sections``.

@@ -177,7 +177,6 @@ REFUSED = [
     ("Insertion", {"config": {"bogus": 1}}, None, "bogus: there is no such field; accepted"),
     ("Insertion", {"scene": {"tubes": {}}}, None, "tubes"),
     ("Insertion", {"config": {"ratio_cap": 0.0}}, None, "0.0 is outside"),
-    ("Snapshot", {"fidelity": "fast"}, None, "use fidelity 'standard', or settings with time_lapse = 1"),
     ("Insertion", {"probes": "all"}, None, "probes = 'all' is not one of scene, random"),
     ("Insertion", {}, {"fricton": 0.1}, "fricton: there is no such field"),
     ("Insertion", {}, {"friction": 7.0}, "7.0 is outside"),

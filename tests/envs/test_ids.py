@@ -29,11 +29,12 @@ def test_every_environment_is_in_every_list_of_them():
         assert env_id.startswith(f"probe_env/{kind.__name__.removesuffix('Env')}-")
 
 
-def test_the_default_is_standard_names_are_presets_and_settings_count():
+def test_fidelity_by_default_by_name_and_by_settings():
+    """At constant length the default has no time-lapse: there it is ``standard``."""
     own = probe_env.Fidelity(time_step=1e-4)
-    for env_id in ("probe_env/Insertion-v1", "probe_env/Snapshot-v1"):
-        assert fidelities(env_id) == [PRESETS["standard"]] * 3
+    for env_id, name in (("probe_env/Insertion-v1", "fast"), ("probe_env/Snapshot-v1", "standard")):
+        assert fidelities(env_id) == fidelities(env_id, fidelity="fast") == [PRESETS[name]] * 3
         assert fidelities(env_id, fidelity=own) == [own] * 3
-    assert gym.make("probe_env/Design-v1").unwrapped.fidelity == PRESETS["standard"] == probe_env.Fidelity()
+    assert gym.make("probe_env/Design-v1").unwrapped.fidelity == PRESETS["standard"]
     for name, preset in ROUND_TRIP_PRESETS.items():
         assert fidelities(INSPECTION, fidelity=name) == [preset] * 3

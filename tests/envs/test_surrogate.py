@@ -34,7 +34,7 @@ def started(count, config=CONFIG, **settings):
 def test_spaces_and_infos_are_those_of_a_simulated_insertion():
     env = gym.make("probe_env/Insertion-v1", fidelity="surrogate", contexts="train").unwrapped
     check_env(env, skip_render_check=True)
-    simulated = gym.make("probe_env/Insertion-v1", contexts="train")
+    simulated = gym.make("probe_env/Insertion-v1", fidelity="standard", contexts="train")
     assert (env.observation_space, env.action_space) == (simulated.observation_space, simulated.action_space)
     for one in (env, simulated):
         one.reset(seed=3)

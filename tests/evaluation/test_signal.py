@@ -135,7 +135,6 @@ def test_what_is_wrong_is_named_before_anything_is_done(tmp_path, capsys):
         (["--flaws", "30:200"], "flaws: depth of '30:200' = 200.0 % is outside the accepted range 0.1 to 100 %"),
         (["--context", "48"], "context = 48 is outside the accepted range 0 to 47"),
         (["--until", "70"], "until = 70.0 m is outside the accepted range 5 to 60 m"),
-        (["--fidelity", "fast"], "fidelity.time_lapse = 4 skips metres"),
     ):
         assert main(["signal", "constant", "--output", str(tmp_path / "out"), *asked]) == 2
         assert message in capsys.readouterr().err

@@ -37,7 +37,7 @@ CASES = {
     "simulate-superelement": "simulate fig11_l10 --method superelement --duration 0.125 --output out",
     "evaluate": f"evaluate constant pi adaptive trimmed-law calm.csv --limit 2 {CALM}",
     "evaluate-agents": f"evaluate student --limit 1 {CALM}",
-    "signal": "signal best-schedule --tube short.toml --flaws 5.5:20 6:60 --until 9 --output out",
+    "signal": "signal best-schedule --fidelity standard --tube short.toml --flaws 5.5:20 6:60 --until 9 --output out",
     "compare": "compare original improved --full --tube longer.toml --limit 1 --fidelity fast --output out",
     "log": "log rig.csv --output out/clean.csv",
     "calibrate": "calibrate rig.csv --output out",
@@ -46,9 +46,9 @@ CASES = {
     "steps-insertion": f"steps Insertion-v1 6 {STEPS}",
     "steps-complete": "steps Insertion-v1 45 fidelity=fast tube=short.toml",
     "steps-time-limit": f"steps Inspection-v0 6 {STEPS} config.time_limit=4",
-    "steps-snapshot": "steps Snapshot-v1 6 tube=calm.toml",
+    "steps-snapshot": "steps Snapshot-v1 6 fidelity=standard tube=calm.toml",
     "steps-inspection": f"steps Inspection-v0 6 {STEPS}",
-    "steps-design": "steps Design-v1 1",
+    "steps-design": "steps Design-v1 1 fidelity=standard",
 }
 KEPT = 16
 """Cells of a column that are compared, spread evenly over it."""

@@ -37,8 +37,8 @@ class Compare:
     """Number of tubes, the first of the list; 0: all."""
     tube: File = None
     """Your plant (tube.toml). Its tubes replace the shipped list; its probe supplies fields missing in a design."""
-    fidelity: str = "standard"
-    """Accuracy of the simulation: study, reference, standard, fast (for whole insertions) or auto."""
+    fidelity: str = "fast"
+    """Accuracy of the simulation: fast (time-lapse in whole insertions only), standard, reference, study or auto."""
     output: Path = Path("output/compare")
     """Folder of designs.csv and summary.csv; stored trials are not run again."""
 
@@ -62,7 +62,7 @@ class Compare:
         if len(designs) != len(paths):
             raise ValueError(f"designs = {', '.join(map(str, self.designs))}: two have the same name")
         config = case.config.full_observation
-        fidelity = resolve_fidelity(self.fidelity, config.scene)
+        fidelity = resolve_fidelity(self.fidelity, config.scene, self.full)
         trials = DesignTrials(case.contexts, self.feed, self.full, fidelity, config, case.vibration, case.plant_label)
         print_comparison(compare(designs, trials, self.output))
         print_line(f"written: {self.output}/ (designs.csv, summary.csv)")
@@ -102,8 +102,8 @@ class DesignSearch:
     """Number of tubes, the first of the list; 0: all."""
     tube: File = None
     """Your plant (tube.toml). Its tubes replace the shipped list; floats are limited by its bore."""
-    fidelity: str = "standard"
-    """Accuracy of the simulation: study, reference, standard, fast (for whole insertions) or auto."""
+    fidelity: str = "fast"
+    """Accuracy of the simulation: fast (time-lapse in whole insertions only), standard, reference, study or auto."""
     output: Path = Path("output/design")
     """Folder of the trials, tables and figures; an interrupted search continues."""
     workers: Annotated[Workers, tyro.conf.arg(name="")] = field(default_factory=Workers)

@@ -22,7 +22,7 @@ class Evaluate:
     The folder of a stored or interrupted evaluation as the only argument writes its report again. A schedule file as
     the only argument is compared with best-schedule.
 
-    Example: probe-env evaluate ppo pi my-schedule.csv --limit 6 --fidelity fast
+    Example: probe-env evaluate ppo pi my-schedule.csv --limit 6
     """
 
     policies: tyro.conf.Positional[Policies] = ("constant", "slow", "slow-down", "pi")
@@ -42,9 +42,10 @@ class Evaluate:
     """Number of tubes, the first of the list; 0: all."""
     seeds: int = 1
     """Number of seeds of sensor noise and start for every tube."""
-    fidelity: str = "standard"
-    """Accuracy of the simulation: study, reference, standard, fast, surrogate, auto or auto:TOLERANCE.
-    With --passes both: study, standard or fast. Or settings, such as "{'method': 'imex', 'time_step': 1e-4}"."""
+    fidelity: str = "fast"
+    """Accuracy of the simulation: fast, standard (four times as slow), reference, study, surrogate, auto or
+    auto:TOLERANCE.
+    With --passes both: fast, standard or study. Or settings, such as "{'method': 'imex', 'time_step': 1e-4}"."""
     workers: Annotated[Workers, tyro.conf.arg(name="")] = field(default_factory=Workers)
     tube: File = None
     """Your plant (tube.toml). Its tubes replace the shipped list."""
@@ -102,7 +103,7 @@ class Agents:
 class Render:
     """Film an episode of a policy, or the motion near the tip in slow motion.
 
-    Example: probe-env render --policy ppo --fidelity fast --output output/ppo.gif
+    Example: probe-env render --policy ppo --output output/ppo.gif
     """
 
     output: Path = Path("output/insertion.gif")
@@ -116,8 +117,8 @@ class Render:
     """Environment."""
     policy: str = "constant"
     """Name of a policy or trained agent, schedule file, or trained agent (.safetensors)."""
-    fidelity: str = "standard"
-    """Accuracy of the simulation: study, reference, standard, fast or auto."""
+    fidelity: str = "fast"
+    """Accuracy of the simulation: fast, standard, reference, study or auto."""
     contexts: Literal["random", "train", "validation", "test"] = "random"
     """List from which the tube is sampled; random: from the ranges of all lists."""
     every: int = 4
@@ -172,8 +173,8 @@ class Signal:
     """Index of the tube in the list."""
     until: Annotated[float | None, hide_default()] = None
     """Inserted length at the end [m]; default: the end of the helix."""
-    fidelity: str = "standard"
-    """Accuracy of the simulation: study, reference or standard; a time-lapse skips metres of the tube."""
+    fidelity: str = "fast"
+    """Accuracy of the simulation: study, reference, standard or fast, without time-lapse, which would skip metres."""
     seed: int = 0
     """Seed of the start, the sensor noise and the electronic noise."""
     tube: File = None

@@ -181,7 +181,7 @@ class Recommend:
     simulated: bool = True
     """Simulate the schedules."""
     fidelity: str = "fast"
-    """Accuracy of the simulation: study, reference, standard (four times as slow as fast), fast, surrogate or auto."""
+    """Accuracy of the simulation: fast, standard (four times as slow), reference, study, surrogate or auto."""
     anyway: bool = False
     """Accept a calibration that is misspecified."""
     workers: Annotated[Workers, tyro.conf.arg(name="")] = field(default_factory=Workers)

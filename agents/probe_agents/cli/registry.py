@@ -40,7 +40,7 @@ Feed control and probe design with a fast simulator of a long cable in a tube.
 {commands}
 
 Examples:
-  probe-env evaluate ppo pi my-schedule.csv --limit 6 --fidelity fast
+  probe-env evaluate ppo pi my-schedule.csv --limit 6
   probe-env simulate fig11_l30 --method imex --scene.contact.friction 0.2
 
 probe-env COMMAND --help   options with their units, and an example

@@ -155,7 +155,7 @@ def design_problem(feed: str, full: bool, case: EvaluationCase, fidelity: str) -
     if full and feed == "best-constant":
         raise ValueError("feed = 'best-constant' needs sections; with --full give a schedule or an agent")
     config = case.config.full_observation
-    chosen = resolve_fidelity(fidelity, config.scene)
+    chosen = resolve_fidelity(fidelity, config.scene, full)
     problem = DesignProblem(case.contexts, feed, full, chosen, config, case.vibration, case.plant_label)
     check_measure(config)
     segment_of(config)

@@ -56,7 +56,7 @@ from probe_env.envs.plants import Bundle
 from probe_env.envs.task import VISIBLE_FIELDS, TaskConfig, describe
 from probe_env.envs.trials import PolicyBatch
 from probe_env.envs.vibration_map import VibrationMap, stored_map
-from probe_env.fidelity import measured_errors
+from probe_env.fidelity import PRESETS, measured_errors
 from probe_env.files import FileError
 from probe_env.inspection.metrics import with_pod_columns
 from probe_env.machine import available_cores
@@ -90,7 +90,7 @@ class Plan:
     contexts: Sequence[Context]
     seeds: Sequence[int] = (0,)
     config: TaskConfig = field(default_factory=TaskConfig)
-    fidelity: Fidelity = field(default_factory=Fidelity)
+    fidelity: Fidelity = PRESETS["fast"]
     probes: Probes = "scene"
     vibration: VibrationMap | None = None
     bundle: Bundle | None = None

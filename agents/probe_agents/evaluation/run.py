@@ -52,7 +52,7 @@ def evaluate(
     contexts: Split = "test",
     limit: int = 0,
     seeds: int = 1,
-    fidelity: str | Fidelity = "standard",
+    fidelity: str | Fidelity = "fast",
     probes: Probes = "scene",
     passes: Literal["in", "both"] | None = None,
     inspects: Literal["in", "back", "best"] | None = None,

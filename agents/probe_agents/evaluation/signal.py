@@ -112,7 +112,7 @@ def run_signal(
     Args:
         spec: spec of the policy, see ``catalogue.make_policy``.
         case: task, tubes and map.
-        fidelity: preset without time-lapse.
+        fidelity: preset; its time-lapse is not used.
         output: folder.
         context: index of the tube in the list.
         flaws: POSITION:DEPTH, see ``flaws_of``.
@@ -182,23 +182,19 @@ def insert(
         policy: the policy.
         config: the task.
         context: the tube.
-        fidelity: fidelity without time-lapse.
+        fidelity: its time-lapse is not used: it would skip metres of the tube.
         seed: seed of sensor noise and start.
         until: inserted length at the end [m]; None: the end of the helix.
 
     Raises:
-        ValueError: a length outside the helix, or a fidelity with time-lapse.
+        ValueError: a length outside the helix.
         RuntimeError: the simulation diverged.
     """
-    if fidelity.time_lapse != 1.0:
-        raise ValueError(
-            f"fidelity.time_lapse = {fidelity.time_lapse:g} skips metres of the tube: use standard, reference or other"
-            " settings with a time-lapse of 1"
-        )
     length = config.scene.tube.helix_length
     if until is not None:
         within("until", until, 5.0, length, "m")
-    episodes = Episodes(1, config, threads=1, allow_standstill=True, fidelity=fidelity)
+    every_metre = fidelity.model_copy(update={"time_lapse": 1.0, "steady_feed": None})
+    episodes = Episodes(1, config, threads=1, allow_standstill=True, fidelity=every_metre)
     observation, started = episodes.reset([0], {0: np.random.default_rng(seed)}, {0: {"context": context}})
     guide = episodes.batch.simulators[0].scene.probe.guide_length
     positions, periods, radial = [started[0]["inserted_length"] - guide], list[dict[str, Any]](), []

@@ -88,8 +88,8 @@ def bootstrap_ends(
         ties = np.abs(values - observed) <= TIE * np.ptp(values)
         return np.where(ties, observed, values)
 
-    observed = statistic(*samples, axis=-1) if method == "BCa" else None
-    function = statistic if observed is None else without_rounding
+    observed: Any = statistic(*samples, axis=-1) if method == "BCa" else None
+    function = without_rounding if method == "BCa" else statistic
     for kind in dict.fromkeys((method, "percentile")):
         rng = np.random.default_rng(0)
         with warnings.catch_warnings(), np.errstate(divide="ignore", invalid="ignore"):

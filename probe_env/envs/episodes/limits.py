@@ -48,11 +48,6 @@ def check_fidelity(fidelity: Fidelity, config: TaskConfig) -> None:
     """Raise ValueError if a fidelity cannot simulate a task in any tube."""
     if not fidelity.simulates:
         raise ValueError("fidelity = 'surrogate' simulates no motion, which is needed here: use fast or finer")
-    if fidelity.time_lapse > 1.0 and not config.growing:
-        raise ValueError(
-            f"fidelity.time_lapse = {fidelity.time_lapse:g} (as in 'fast') skips metres of an insertion, and the length"
-            " of this probe is constant: use fidelity 'standard', or settings with time_lapse = 1"
-        )
     check_scene(METHODS[fidelity.method], config.scene)
     whole_steps("config.period / fidelity.time_lapse", config.period / fidelity.time_lapse, fidelity.time_step)
     if config.returns or fidelity.steady_feed is not None:

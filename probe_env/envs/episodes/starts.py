@@ -55,7 +55,7 @@ class EpisodeSettings(SceneSettings, total=False):
 
 
 DEFAULTS: Final[EpisodeSettings] = {
-    "tube": None, "scene": None, "fidelity": "standard", "contexts": "random",
+    "tube": None, "scene": None, "fidelity": "fast", "contexts": "random",
     "feed_speed": SETTLING[0], "air_supply_rate": SETTLING[1], "probes": "scene",
     "in_turn": False, "surrogate_map": None,
 }  # fmt: skip

@@ -158,7 +158,7 @@ def test_divergence_while_settling_ends_the_episode_in_its_first_step(monkeypatc
 def test_time_lapse_has_two_clocks():
     """A period is one second of insertion, time and air, and a quarter of a second of dynamics."""
     config = TaskConfig()
-    fast, true = Episodes(1, config, fidelity="fast"), Episodes(1, config)
+    fast, true = Episodes(1, config, fidelity="fast"), Episodes(1, config, fidelity="standard")
     for episodes in (fast, true):
         episodes.reset([0], {0: np.random.default_rng(1)}, {0: {"context": MILD}})
         action = config.action(*CONSTANT)[None]
