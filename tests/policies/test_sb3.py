@@ -1,4 +1,4 @@
-"""One's own models beside ours: as a policy, and as a bundle that every command takes."""
+"""Models of Stable-Baselines3 as policies and as bundles."""
 
 import gymnasium as gym
 import numpy as np
@@ -9,55 +9,78 @@ from sb3_contrib import TQC, RecurrentPPO
 from stable_baselines3 import A2C, PPO, SAC, TD3
 from stable_baselines3.common.vec_env import VecNormalize
 
+from probe_agents.evaluation.plan import Plan, run_plan
 from probe_agents.policies.bundle import ACTIVATIONS, from_sb3, load_bundle, save_bundle
 from probe_agents.vec_env import ProbeVecEnv
-from probe_env import Scene, TaskConfig
+from probe_env import Context, Scene, TaskConfig
 
-CONFIG = TaskConfig(growing=False, period=0.05, time_limit=1.0, settle_time=0.05)
-KINDS = {
-    "ppo": (PPO, "MlpPolicy"),
-    "sac": (SAC, "MlpPolicy"),
-    "recurrent-ppo": (RecurrentPPO, "MlpLstmPolicy"),
-    "td3": (TD3, "MlpPolicy"),
-    "tqc": (TQC, "MlpPolicy"),
+CONFIG = TaskConfig(growing=False, period=0.05, time_limit=0.5, settle_time=0.05, scene=Scene(carrier_length=2.0))
+ROLLOUT = {"n_steps": 8, "batch_size": 8, "n_epochs": 1}
+REPLAY = {"learning_starts": 4, "buffer_size": 64, "batch_size": 4}
+ALGORITHMS = {
+    "ppo": (PPO, "MlpPolicy", ROLLOUT),
+    "recurrent-ppo": (RecurrentPPO, "MlpLstmPolicy", ROLLOUT),
+    "sac": (SAC, "MlpPolicy", REPLAY),
+    "td3": (TD3, "MlpPolicy", REPLAY),
+    "tqc": (TQC, "MlpPolicy", REPLAY),
 }
 
 
 @pytest.fixture(scope="module")
 def env():
-    return ProbeVecEnv("probe_env/Snapshot-v1", 1, CONFIG, scene=Scene(carrier_length=2.0))
+    return ProbeVecEnv("probe_env/Snapshot-v1", 1, CONFIG)
 
 
-def rows(config, count=6):
-    rng = np.random.default_rng(0)
-    low, high = np.array([bounds[:2] for bounds in config.observations.values()]).T
-    return rng.uniform(np.maximum(low, -2.0), np.minimum(high, 2.0), (count, len(low))).astype(np.float32)
+def observations(config, count=6):
+    """Observations (count, d) of the full task, and those of ``config`` among them."""
+    everything = config.full_observation.observations
+    low, high = np.array([bounds[:2] for bounds in everything.values()]).T
+    rows = np.random.default_rng(0).uniform(np.maximum(low, -2.0), np.minimum(high, 2.0), (count, len(low)))
+    rows = rows.astype(np.float32)
+    return rows, rows[:, [list(everything).index(name) for name in config.observations]]
 
 
-def own(config):
-    """``rows`` of the full observation, without what the task does not show."""
-    names = list(config.full_observation.observations)
-    return rows(config.full_observation)[:, [names.index(one) for one in config.observations]]
+@pytest.mark.parametrize("normalised", [False, True], ids=["", "normalised"])
+@pytest.mark.parametrize("kind", ALGORITHMS)
+def test_trained_model_as_policy_and_bundle(kind, normalised, env, tmp_path):
+    """After a few steps and after loading; with ``VecNormalize`` its statistics are needed and some inputs clipped."""
+    algorithm, name, settings = ALGORITHMS[kind]
+    sizes = {"net_arch": [16, 8]} | ({"lstm_hidden_size": 8} if kind == "recurrent-ppo" else {})
+    train = VecNormalize(env, clip_obs=1.5, epsilon=1e-4) if normalised else env
+    model = algorithm(name, train, policy_kwargs=sizes, seed=1, device="cpu", **settings).learn(24)
+    rows, visible = observations(CONFIG)
+    inputs = train.normalize_obs(visible) if normalised else visible
+    expected, _ = model.predict(inputs, episode_start=np.ones(len(rows), dtype=bool), deterministic=True)
+    assert not normalised or (np.abs(inputs) == 1.5).any()
+    model.save(tmp_path / "model")
+    if normalised:
+        train.save(tmp_path / "statistics")
+        with pytest.raises(ValueError, match=r"load it with env=VecNormalize.load\(statistics, env\)"):
+            from_sb3(algorithm.load(tmp_path / "model", device="cpu"), CONFIG)
+    stored = VecNormalize.load(tmp_path / "statistics", env) if normalised else None
+    policies = {
+        "model": from_sb3(model, CONFIG),
+        "loaded": from_sb3(algorithm.load(tmp_path / "model", stored, device="cpu"), CONFIG),
+    }
+    digest = save_bundle(tmp_path / "own.safetensors", model, CONFIG)
+    policies["bundle"] = load_bundle(tmp_path / "own.safetensors", CONFIG.full_observation)
+    assert policies["bundle"].hash == digest
+    for policy in policies.values():
+        assert np.allclose(policy.predict(rows, deterministic=True)[0], expected, atol=1e-6)
+        assert policy.describe()["algorithm"] == kind
+    table = run_plan(Plan(policies, [Context()], (0,), CONFIG.full_observation), None, progress=False)
+    assert table["reward"].nunique() == 1
+    assert len(table) == 3
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_policy_and_a_bundle_act_as_the_model(kind, env, tmp_path):
-    algorithm, name = KINDS[kind]
-    model = algorithm(name, env, policy_kwargs={"net_arch": [16, 8]}, seed=1, device="cpu")
-    everything = CONFIG.full_observation
-    shown = rows(everything)
-    expected, _ = model.predict(own(CONFIG), episode_start=np.ones(len(shown), dtype=bool), deterministic=True)
-    policy = from_sb3(model, CONFIG)
-    assert np.allclose(policy.predict(shown, deterministic=True)[0], expected, atol=1e-6)
-    assert policy.describe()["algorithm"] == kind
-    path = tmp_path / "own.safetensors"
-    digest = save_bundle(path, model, CONFIG)
-    agent = load_bundle(path, everything)
-    assert agent.hash == digest
-    assert np.array_equal(agent.predict(shown, deterministic=True)[0], policy.predict(shown, deterministic=True)[0])
+def test_statistics_of_normalised_rewards_are_not_needed(env, tmp_path):
+    rewards = PPO("MlpPolicy", VecNormalize(env, norm_obs=False), device="cpu", seed=1, **ROLLOUT).learn(8)
+    rewards.save(tmp_path / "model")
+    for model in (rewards, PPO.load(tmp_path / "model", device="cpu")):
+        assert from_sb3(model, CONFIG).description.normalisation is None
 
 
-def test_what_would_act_otherwise_is_refused(env, tmp_path):
+def test_models_that_would_act_differently_are_refused(env, tmp_path):
     model = PPO("MlpPolicy", env, device="cpu")
     with pytest.raises(
         ValueError, match=r"observation_space of the model has shape \(11,\); that of the task is \(14,\)"
@@ -65,11 +88,12 @@ def test_what_would_act_otherwise_is_refused(env, tmp_path):
         from_sb3(model, CONFIG.model_copy(update={"privileged": True}))
     with pytest.raises(ValueError, match="model is a A2C; PPO, SAC, RecurrentPPO, TD3, TQC are accepted"):
         from_sb3(A2C("MlpPolicy", env, device="cpu"), CONFIG)
-    for kwargs, message in (
-        ({"activation_fn": torch.nn.Softplus}, r"activation_fn = Softplus \(only ReLU, Tanh, ELU"),
-        ({"net_arch": {"pi": [4], "vf": [8]}}, "net_arch with different networks"),
+    for settings, message in (
+        ({"policy_kwargs": {"activation_fn": torch.nn.Softplus}}, r"activation_fn = Softplus \(only ReLU, Tanh, ELU"),
+        ({"policy_kwargs": {"net_arch": {"pi": [4], "vf": [8]}}}, "net_arch with different networks"),
+        ({"use_sde": True}, "use_sde"),
     ):
-        other = PPO("MlpPolicy", env, policy_kwargs=kwargs, device="cpu")
+        other = PPO("MlpPolicy", env, device="cpu", **settings)
         with pytest.raises(ValueError, match=f"policy_kwargs: a bundle cannot store {message}"):
             save_bundle(tmp_path / "other.safetensors", other, CONFIG)
     assert not list(tmp_path.iterdir())
@@ -87,32 +111,9 @@ def test_what_would_act_otherwise_is_refused(env, tmp_path):
 )  # fmt: skip
 @pytest.mark.filterwarnings("ignore:.*Box .* precision lowered by casting")
 def test_wrappers_that_rescale_are_refused(wrapper, message):
-    env = gym.make("probe_env/Snapshot-v1", config=CONFIG, scene=Scene(carrier_length=2.0))
+    env = gym.make("probe_env/Snapshot-v1", config=CONFIG)
     with pytest.raises(ValueError, match=message):
         from_sb3(PPO("MlpPolicy", wrapper(env), device="cpu"), CONFIG)
-
-
-def test_a_bundle_acts_as_the_model_behind_vec_normalize(env, tmp_path):
-    """Its statistics are those of a short training; some observations are clipped."""
-    behind = VecNormalize(env, clip_obs=1.5, epsilon=1e-4)
-    model = PPO("MlpPolicy", behind, n_steps=8, batch_size=8, n_epochs=1, seed=1, device="cpu").learn(16)
-    shown = rows(CONFIG)
-    normalised = behind.normalize_obs(shown)
-    assert (np.abs(normalised) == 1.5).any()
-    expected, _ = model.predict(normalised, deterministic=True)
-    save_bundle(tmp_path / "own.safetensors", model, CONFIG)
-    agent = load_bundle(tmp_path / "own.safetensors", CONFIG)
-    assert np.allclose(agent.predict(shown, deterministic=True)[0], expected, atol=1e-6)
-    assert not np.allclose(model.predict(shown, deterministic=True)[0], expected, atol=1e-3)  # they matter
-    model.save(tmp_path / "model")
-    behind.save(tmp_path / "statistics")
-    with pytest.raises(ValueError, match=r"load it with env=VecNormalize.load\(statistics, env\)"):
-        from_sb3(PPO.load(tmp_path / "model", device="cpu"), CONFIG)
-    loaded = PPO.load(tmp_path / "model", VecNormalize.load(tmp_path / "statistics", env), device="cpu")
-    action, _ = from_sb3(loaded, CONFIG).predict(rows(CONFIG.full_observation), deterministic=True)
-    assert np.allclose(action, model.predict(behind.normalize_obs(own(CONFIG)), deterministic=True)[0], atol=1e-6)
-    rewards = PPO("MlpPolicy", VecNormalize(env, norm_obs=False), device="cpu", seed=1)
-    assert from_sb3(rewards, CONFIG).description.normalisation is None
 
 
 @pytest.mark.parametrize("name", ACTIVATIONS)
@@ -122,18 +123,10 @@ def test_activations_survive_a_bundle(name, env, tmp_path):
         for weights in model.policy.parameters():
             weights.mul_(3.0)  # beyond the linear range
     save_bundle(tmp_path / "own.safetensors", model, CONFIG)
+    _, visible = observations(CONFIG)
+    expected, _ = model.predict(visible, deterministic=True)
     agent = load_bundle(tmp_path / "own.safetensors", CONFIG)
-    shown = rows(CONFIG)
-    expected, _ = model.predict(shown, deterministic=True)
-    assert np.allclose(agent.predict(shown, deterministic=True)[0], expected, atol=1e-6)
+    assert np.allclose(agent.predict(visible, deterministic=True)[0], expected, atol=1e-6)
     other = PPO("MlpPolicy", env, policy_kwargs={"activation_fn": torch.nn.Softplus}, seed=1, device="cpu").policy
     other.load_state_dict(model.policy.state_dict())
-    assert not np.allclose(other.predict(shown, deterministic=True)[0], expected, atol=1e-3)
-
-
-def test_a_model_with_state_dependent_exploration_survives_a_bundle(env, tmp_path):
-    model = PPO("MlpPolicy", env, use_sde=True, seed=1, device="cpu")
-    save_bundle(tmp_path / "own.safetensors", model, CONFIG)
-    expected, _ = model.predict(rows(CONFIG), deterministic=True)
-    agent = load_bundle(tmp_path / "own.safetensors", CONFIG)
-    assert np.allclose(agent.predict(rows(CONFIG), deterministic=True)[0], expected, atol=1e-6)
+    assert not np.allclose(other.predict(visible, deterministic=True)[0], expected, atol=1e-3)

@@ -1,9 +1,9 @@
-"""The search for hyperparameters: killed equals never killed, hopeless trainings end early, what it found is a file."""
+"""The search for hyperparameters: interrupted equals uninterrupted, poor trainings end early, the result is a file."""
 
-import inspect
 import json
 import os
 import signal
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -11,48 +11,41 @@ import pytest
 from kills import killed_at
 
 from probe_agents.cli import main
-from probe_agents.policies.bundle import ALGORITHMS
 from probe_agents.records.locks import run_lock
 from probe_agents.records.shipped import file_or_shipped
 from probe_agents.training import tuning as module
-from probe_agents.training.config import LIMITS, ROLLOUT, USUAL, Range, Training, axes_of
+from probe_agents.training.config import Training
 from probe_agents.training.train import CHECKPOINT, RUN
-from probe_agents.training.tuning import STARTUP_TRIALS, Tuning, search
+from probe_agents.training.tuning import ROLLOUT, SPACE, STARTUP_TRIALS, Tuning, search
 from probe_env.files import FileError
 
 FILE = """
 seeds = [3, 4]
 phases = 3
-phase_steps = 32
+phase_steps = 256
 averages = [5.0]
 [environment]
 num_envs = 4
 fidelity = { time_lapse = 20.0 }
 task = { settle_time = 0.1, time_limit = 20.0 }
 [network]
-net_arch = [8]
+net_arch = [32, 32]
+log_std_init = -2.0
 [learning]
-n_steps = 8
-batch_size = 16
-n_epochs = 1
+n_steps = 64
+batch_size = 64
+n_epochs = 2
 learning_rate = 1e-3
 [validation]
 limit = 1
 fidelity = { time_lapse = 20.0 }
 """
-SPACE = """
-[search]
-learning.learning_rate = { low = 1e-5, high = 1e-1, log = true }
-learning.n_epochs = { low = 1, high = 3 }
-learning.n_steps = [4, 8]
-network.net_arch = [[8], [16, 8]]
-"""
-PARAMETERS = ["learning.learning_rate", "learning.n_epochs", "learning.n_steps", "network.net_arch"]
+PARAMETERS = [*SPACE, ROLLOUT]
 TRIALS = 13
 """More than the ten that TPE draws at random."""
 
 
-def written(folder, text=FILE + SPACE):
+def written(folder, text=FILE):
     path = folder / "mine.toml"
     path.write_text(text)
     return path
@@ -70,8 +63,8 @@ def table_of(folder):
 def reward(training, phase):
     """Rises with every phase, towards a known best."""
     settings = training.learning
-    worth = -abs(np.log10(settings["learning_rate"]) + 3.0) - abs(settings["n_epochs"] - 2)
-    return worth - (settings["n_steps"] == 4) - (len(training.network.net_arch) == 2) + 0.1 * phase
+    worth = -abs(np.log10(settings.learning_rate) + 4.0) - 0.2 * abs(settings.n_epochs - 6)
+    return worth - (settings.n_steps == 32) - (training.network.net_arch == (32, 32)) + 0.1 * phase
 
 
 def stub(training, folder, origin, seed, position, watch):
@@ -95,19 +88,22 @@ def whole(tmp_path_factory):
     return folder
 
 
-def test_points_stay_in_the_space_and_the_first_is_the_file_itself_with_any_seed(tmp_path, whole, stubbed):
+def test_first_trial_is_the_file_for_every_search_seed(tmp_path, whole, stubbed):
+    """Values that the file does not give are PPO's; its clip_range is 0.2, its ent_coef = 0 is not in the space."""
     table = table_of(whole)
-    assert table.iloc[0][PARAMETERS].tolist() == [1e-3, 1, 8, "8"]
+    first = table.iloc[0]
+    given = {"gamma": 0.99, "batch_size": 64, "learning_rate": 1e-3, "n_epochs": 2, "clip_range": 0.2, "n_steps": 64}
+    assert {name: first[f"learning.{name}"] for name in given} == given
+    assert (first["network.net_arch"], first["network.log_std_init"]) == ("32x32", -2.0)
     (begun,) = (whole / "trials" / "0000").glob("seed-*")
     assert begun.name == "seed-3"  # the file's first
     assert table["trial"].tolist() == list(range(TRIALS))
-    assert table["learning.learning_rate"].between(1e-5, 1e-1).all()
-    for name, values in (("learning.n_epochs", {1, 2, 3}), (ROLLOUT, {4, 8}), ("network.net_arch", {"8", "16x8"})):
-        assert set(table[name]) == values  # of this seed
+    for name, values in Tuning(training=Training.from_toml(whole / "mine.toml"), phases=2).space.items():
+        assert all(values._contains(values.to_internal_repr(value)) for value in table[name].tolist())
     search(tuning_of(tmp_path, seed=1), 3, tmp_path)
-    first, second = (table_of(folder)[PARAMETERS].iloc[:3] for folder in (tmp_path, whole))
-    assert first.iloc[0].equals(second.iloc[0])  # the file itself
-    assert not first.equals(second)
+    other = table_of(tmp_path)
+    assert other.iloc[0].drop("learning.ent_coef").equals(first.drop("learning.ent_coef"))
+    assert not other.iloc[1:].equals(table.iloc[1:3])
 
 
 def test_trainings_below_the_median_of_those_before_end_early(whole):
@@ -167,7 +163,7 @@ def test_killed_in_a_training_it_goes_on_from_its_checkpoint(tmp_path):
 
 def test_a_training_that_breaks_down_is_told_and_the_search_goes_on(tmp_path, monkeypatch, capsys):
     def breaking(training, folder, origin, seed, position, watch):
-        if training.learning["learning_rate"] > 2e-3:
+        if training.learning.learning_rate > 1e-4:
             raise ValueError("weights that are not finite")
         stub(training, folder, origin, seed, position, watch)
 
@@ -175,11 +171,13 @@ def test_a_training_that_breaks_down_is_told_and_the_search_goes_on(tmp_path, mo
     search(tuning_of(tmp_path), 6, tmp_path)
     table = table_of(tmp_path)
     assert len(table) == 6
-    assert ((table["state"] == "failed") == (table["learning.learning_rate"] > 2e-3)).all()
+    assert ((table["state"] == "failed") == (table["learning.learning_rate"] > 1e-4)).all()
     assert table.loc[table["state"] == "failed", "reward"].isna().all()
     assert set(table["state"]) == {"complete", "failed"}  # of this seed
-    path = written(tmp_path, (FILE + SPACE).replace("low = 1e-5", "low = 1e-2"))
-    assert main(["tune", str(path), "--trials", "2", "--output", str(tmp_path / "all")]) == 2
+    monkeypatch.setattr(
+        module, "train", lambda *_, **__: breaking(Training(learning={"learning_rate": 1.0}), *_[1:], **__)
+    )
+    assert main(["tune", str(written(tmp_path)), "--trials", "2", "--output", str(tmp_path / "all")]) == 2
     assert "error: all 2 trainings failed: weights that are not finite" in capsys.readouterr().err
 
     def damaged(*_, **__):
@@ -207,11 +205,13 @@ def test_the_command_goes_on_and_leaves_a_training_file_with_the_best_parameters
     best = complete.loc[complete["reward"].idxmax()]
     text = (output / "found.toml").read_text()
     tuned, given = Training.from_toml(output / "found.toml"), Training.from_toml(path)
-    assert tuned.learning == given.learning | {
-        name.removeprefix("learning."): best[name] for name in PARAMETERS if name.startswith("learning.")
-    }
+    assert tuned.learning == given.learning.model_copy(
+        update={
+            name.removeprefix("learning."): best[name].item() for name in PARAMETERS if name.startswith("learning.")
+        }
+    )
     assert "x".join(map(str, tuned.network.net_arch)) == best["network.net_arch"]
-    same = {"learning": True, "network": {"net_arch"}, "search": True}
+    same = {"learning": True, "network": True}
     assert tuned.model_dump(exclude=same) == given.model_dump(exclude=same)
     head = text[: text.index("\n\n")]
     commit = pd.read_csv(output / "trials.csv", dtype={"commit": str})["commit"][best["trial"]]
@@ -243,86 +243,47 @@ def test_a_folder_holds_one_search(tmp_path, stubbed, capsys):
     def run(text, *options):
         return main(["tune", str(written(tmp_path, text)), "--trials", "2", "--output", str(output), *options])
 
-    assert run(FILE + SPACE) == 0
+    assert run(FILE) == 0
     for text, options, name in (
-        (FILE + SPACE.replace("high = 3", "high = 4"), (), "search"),
-        (FILE.replace("batch_size = 16", "batch_size = 8") + SPACE, (), "learning"),
-        (FILE.replace("[3, 4]", "[4, 3]") + SPACE, (), "seeds"),
-        (FILE + SPACE, ("--phases", "1"), "phases"),
-        (FILE + SPACE, ("--seed", "1"), "seed"),
+        (FILE.replace("batch_size = 64", "batch_size = 8"), (), "learning"),
+        (FILE.replace("[3, 4]", "[4, 3]"), (), "seeds"),
+        (FILE, ("--phases", "1"), "phases"),
+        (FILE, ("--seed", "1"), "seed"),
     ):
         capsys.readouterr()
         assert run(text, *options) == 2
         assert f"{output}: holds a search with other settings ({name}): choose another" in capsys.readouterr().err
-    assert run(FILE.replace("[3, 4]", "[3]") + SPACE) == 0  # the others are not trained here
+    assert run(FILE.replace("[3, 4]", "[3]")) == 0  # the others are not trained here
     with run_lock(output):
-        assert run(FILE + SPACE) == 2
+        assert run(FILE) == 2
     message = f"probe-env: error: {output}: another process is working there: wait for it, or choose another folder"
     assert capsys.readouterr().err.splitlines()[-1] == message
 
 
-RANGE = "is outside the accepted range"
-BROKEN = {
-    "learning.gamma = { low = 0.9, high = 1.5 }": f"learning.gamma: learning.gamma = 1.5 {RANGE} 0 to 1",
-    "learning.gamma = { low = 0.99, high = 0.9 }": "learning.gamma: low = 0.99 is not below high = 0.9",
-    "learning.gamma = { low = 0.9 }": "learning.gamma: high: Field required",
-    "learning.gamma = { low = 0.9, high = 1.0, step = 2 }": "learning.gamma: step: there is no such field",
-    "learning.ent_coef = { low = 0.0, high = 0.1, log = true }": "learning.ent_coef: low = 0.0 is not above 0, as log",
-    "learning.gamma = [0.9]": "learning.gamma: (0.9,) is neither two or more different choices",
-    "learning.gamma = [0.9, 0.9]": "learning.gamma: (0.9, 0.9) is neither",
-    "learning.n_epochs = { low = 0.5, high = 2.5 }": f"learning.n_epochs: learning.n_epochs = 0.5 {RANGE} 1 to 1000",
-    "learning.momentum = [0.1, 0.2]": "learning.momentum: learning.momentum is not one of ppo's: learning_rate",
-    "learning.n_steps = [8, 24]": "learning.n_steps: 24: the 32 steps of a phase in 4 environments",
-    "learning.n_steps = { low = 4, high = 8 }": "learning.n_steps: must be a list of choices",
-    "network.net_arch = [[8], [5000]]": "network.net_arch: net_arch.0: Input should be less than or equal to 4096",
-    "network.log_std_init = { low = -30.0, high = 0.0 }": f"network.log_std_init: log_std_init: -30.0 {RANGE} -20 to 5",
-    "network.lstm_hidden_size = [8, 16]": "network.lstm_hidden_size: is not one of ppo's: net_arch, log_std_init",
-    "imitation.epochs = [1, 2]": "imitation: cannot be searched in this file; accepted: learning, network",
-    "phases = [1, 2]": "phases: Input should be a valid dictionary (given: (1, 2))",
-    "": " is empty",
-}
-
-
-def test_bad_ranges_and_options_are_named_before_any_work(tmp_path, capsys):
-    failures = []
-
-    def check(text, options, message):
-        path = written(tmp_path, text)
-        status = main(["tune", str(path), "--output", str(tmp_path / "out"), *options])
+def test_options_and_a_search_table_are_refused(tmp_path, capsys):
+    for text, options, message in (
+        (FILE + "[search]\nlearning.gamma = [0.9, 0.99]\n", (), "search: there is no such field"),
+        *((FILE, (f"--{name}", str(value)), f"{name} = {value} is outside the accepted range")
+          for name, value in (("phases", 4), ("phases", 0), ("trials", 0), ("seed", -1))),
+    ):  # fmt: skip
+        assert main(["tune", str(written(tmp_path, text)), "--output", str(tmp_path / "out"), *options]) == 2
         error = capsys.readouterr().err
-        if status != 2 or message not in error or error.count("\n") != 1:
-            failures.append((message, error))
-
-    for line, problem in BROKEN.items():
-        text = f"{FILE}\n[search]\n{line}\n".replace("'", '"')
-        check(text, (), f"search{'.' if line else ':'}{problem}")
-    for name, value in (("phases", 4), ("phases", 0), ("trials", 0), ("seed", -1)):
-        check(FILE + SPACE, (f"--{name}", str(value)), f"{name} = {value} is outside the accepted range")
-    assert failures == []
+        assert message in error
+        assert error.count("\n") == 1
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize("algorithm", ALGORITHMS)
-def test_the_usual_ranges_and_own_values_are_what_a_file_may_say(algorithm):
-    usual = axes_of(Training(algorithm=algorithm))
-    assert usual.keys() >= USUAL[algorithm].keys()
-    assert (ROLLOUT in usual) == (algorithm != "sac")
-    declared = {}
-    for name, axis in usual.items():
-        table, field = name.split(".")
-        declared.setdefault(table, {})[field] = axis.model_dump() if isinstance(axis, Range) else axis
-    assert axes_of(Training(algorithm=algorithm, search=declared)) == usual
-    parameters = inspect.signature(ALGORITHMS[algorithm][0].__init__).parameters
-    own = {name: parameter.default for name, parameter in parameters.items() if name in LIMITS}
-    Training(algorithm=algorithm, learning={k: v for k, v in own.items() if isinstance(v, int | float)})
-
-
-def test_usual_rollouts_fill_phases_and_shipped_files_can_be_searched_and_written(tmp_path):
+def test_rollouts_fill_phases_and_shipped_files_can_be_written(tmp_path):
     """Of 32 to 512 steps in three environments, phases of 384 steps hold whole rollouts of 32, 64 and 128."""
-    assert axes_of(Training(environment={"num_envs": 3}, phase_steps=384))[ROLLOUT] == (32, 64, 128)
-    assert ROLLOUT not in axes_of(Training(environment={"num_envs": 5}))
+
+    def rollouts(num_envs, phase_steps):
+        training = Training(environment={"num_envs": num_envs}, phase_steps=phase_steps)
+        space = Tuning(training=training, phases=1).space
+        return space[ROLLOUT].choices if ROLLOUT in space else ()
+
+    assert rollouts(3, 384) == (32, 64, 128)
+    assert rollouts(5, 16_384) == ()
     for name in ("ppo", "student", "ppo-any-probe"):
-        training = Training.from_toml(file_or_shipped("train", name))
-        assert len(axes_of(training)) == len(USUAL["ppo"]) + 1
+        training = Training.from_toml(file_or_shipped("train", Path(name)))
         (tmp_path / "again.toml").write_text(training.to_toml())
         assert Training.from_toml(tmp_path / "again.toml") == training

@@ -34,7 +34,6 @@ class Train:
 
     def run(self) -> None:
         """Train, print the learning curves."""
-        from probe_agents.policies.cases import plant_at
         from probe_agents.records.shipped import file_or_shipped
         from probe_agents.training.config import Training
         from probe_agents.training.train import print_curves, train_all
@@ -42,7 +41,7 @@ class Train:
         training = Training.from_toml(file_or_shipped("train", self.config_file))
         update: dict[str, Any] = {"seeds": self.seeds} if self.seeds else {}
         if self.tube:
-            update["environment"] = {"tube": plant_at(self.tube), "map_beside": str(self.tube)}
+            update["environment"] = {"tube": file_or_shipped("tubes", self.tube), "surrogate_map": None}
         training = training.model_copy(update=update) if update else training
         output = self.output or Path("output/train") / self.config_file.stem
         print_curves(train_all(training, output, self.resume, self.workers))
@@ -57,8 +56,7 @@ class Tune:
     """
 
     config_file: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="CONFIG")]]
-    """Training file (TOML), or the name of a shipped one. Its first seed is trained.
-    Its table [search] is the search space; default: ranges of its algorithm."""
+    """Training file (TOML), or the name of a shipped one. Its first seed is trained."""
     trials: int = 40
     """Number of trials, including pruned ones."""
     phases: Annotated[int | None, hide_default()] = None

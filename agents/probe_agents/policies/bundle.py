@@ -20,11 +20,12 @@ from pydantic_core import PydanticCustomError
 from sb3_contrib import TQC, RecurrentPPO
 from stable_baselines3 import PPO, SAC, TD3
 from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from stable_baselines3.common.policies import BasePolicy
 
 from probe_agents.policies.policy import Domain, RangesOfTubes
 from probe_agents.policies.trained import RESTORE, read_weights
-from probe_agents.policies.view import View
+from probe_agents.policies.view import View, without
 from probe_agents.records.atomic import write_atomically
 from probe_env.arrays import BoolArray
 from probe_env.envs.episodes.decisions import averaged_columns, changed_targets
@@ -35,21 +36,21 @@ from probe_env.files import FileError
 from probe_env.settings import Model, explain, quantity
 
 Floats = npt.NDArray[np.floating[Any]]
-Algorithm = Literal["ppo", "sac", "recurrent-ppo"]
-Trained = Algorithm | Literal["td3", "tqc"]
-ALGORITHMS: Final[dict[Trained, tuple[Any, str]]] = {
+Algorithm = Literal["ppo", "sac", "recurrent-ppo", "td3", "tqc"]
+POLICIES: Final[dict[Algorithm, tuple[Any, str]]] = {
     "ppo": (PPO, "MlpPolicy"),
     "sac": (SAC, "MlpPolicy"),
     "recurrent-ppo": (RecurrentPPO, "MlpLstmPolicy"),
+    "td3": (TD3, "MlpPolicy"),
+    "tqc": (TQC, "MlpPolicy"),
 }
-POLICIES: Final[dict[Trained, tuple[Any, str]]] = {**ALGORITHMS, "td3": (TD3, "MlpPolicy"), "tqc": (TQC, "MlpPolicy")}
-"""Algorithms of bundles: those of training files, and others of which a trained model can be saved."""
+"""Algorithms whose models can be policies; training files know PPO only."""
 ACTIVATIONS: Final = {
     kind.__name__: kind
     for kind in (torch.nn.ReLU, torch.nn.Tanh, torch.nn.ELU, torch.nn.LeakyReLU, torch.nn.SiLU, torch.nn.GELU)
 }
 KNOWN: Final = (
-    "net_arch", "activation_fn", "log_std_init", "lstm_hidden_size", "ortho_init", "use_sde",
+    "net_arch", "activation_fn", "log_std_init", "lstm_hidden_size", "ortho_init",
     "optimizer_class", "optimizer_kwargs",
 )  # fmt: skip
 """Policy arguments that a bundle describes, or that have no effect after training."""
@@ -66,15 +67,10 @@ PREVIOUS: Final = {"feed_speeds": "previous_feed_action", "air_supply_rates": "p
 
 
 class Network(Model):
-    """Size of the policy's networks; ``lstm_hidden_size`` applies to recurrent-ppo only."""
+    """Hidden layers of the networks of actor and critic, and the initial standard deviation of PPO's actions."""
 
     net_arch: Annotated[tuple[Annotated[int, Field(ge=1, le=4096)], ...], Field(max_length=8)] = (64, 64)
-    lstm_hidden_size: int = Field(default=64, ge=1, le=2048)
-    activation: Literal["ReLU", "Tanh", "ELU", "LeakyReLU", "SiLU", "GELU"] | None = None
-    """Class of torch.nn; default: that of the algorithm."""
     log_std_init: Annotated[float, quantity(-20.0, 5.0, "")] = -1.0
-    noise_interval: int = Field(default=0, ge=0, le=10_000)
-    """Steps for which exploration is one function of the features (gSDE: Raffin et al. 2022); 0: new noise each."""
 
     @model_validator(mode="after")
     def _fits_in_memory(self) -> Self:
@@ -83,7 +79,20 @@ class Network(Model):
             raise PydanticCustomError("weights", f"net_arch: {weights} weights are more than {MOST_WEIGHTS}")
         return self
 
-    def arguments(self, algorithm: str) -> dict[str, Any]:
+
+class StoredNetwork(Network):
+    """Network of a bundle; ``lstm_hidden_size`` applies to recurrent-ppo only."""
+
+    lstm_hidden_size: int = Field(default=64, ge=1, le=2048)
+    activation: Literal["ReLU", "Tanh", "ELU", "LeakyReLU", "SiLU", "GELU"] | None = None
+    """Class of torch.nn; default: that of the algorithm."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _without_exploration(cls, fields: Any) -> Any:
+        return without(fields, noise_interval=0)
+
+    def arguments(self, algorithm: Algorithm) -> dict[str, Any]:
         """SB3's ``policy_kwargs``."""
         arguments: dict[str, Any] = {"net_arch": list(self.net_arch)}
         if self.activation:
@@ -115,8 +124,8 @@ class Description(Model):
     """Metadata of a bundle."""
 
     format: Literal[1] = 1
-    algorithm: Trained
-    network: Network
+    algorithm: Algorithm
+    network: StoredNetwork
     view: View
     task: TaskConfig
     normalisation: Normalisation | None = None
@@ -156,9 +165,6 @@ class Agent:
         others = [name for name in PREVIOUS if getattr(description.task, name) != getattr(config, name)]
         step = description.task.feed_speed_step
         self._feed_speed_step = step if config.returns and step != config.feed_speed_step else 0.0
-        if others and description.view.guide is not None:
-            trained, here = getattr(description.task, others[0]), getattr(config, others[0])
-            raise ValueError(f"{others[0]} = {here!r} differs from {trained!r}, the range of the agent's guide")
         self._other_ranges = bool(others)
         timing = {name: getattr(description.task, name) for name in DECISIONS}
         self._config = config.model_copy(update=timing)  # whose decision period is that of the training
@@ -209,7 +215,7 @@ class Agent:
         normalisation = self.description.normalisation
         inputs = normalisation.apply(features) if normalisation else features
         actions, inner = self.policy.predict(inputs, inner, start, deterministic)
-        applied = view.env_actions(self.description.task, actions, view.guided(features))
+        applied = view.env_actions(self.description.task, actions)
         if not np.isfinite(applied).all():
             raise ValueError(f"the agent of bundle {self.hash or '(unsaved)'} returned actions that are not finite")
         return applied, (memory, inner)
@@ -294,8 +300,6 @@ def build_policy(description: Description, initialised: bool = True) -> BasePoli
     arguments = description.network.arguments(description.algorithm)
     if not initialised and description.algorithm not in OFF_POLICY:
         arguments["ortho_init"] = False  # slow for large networks
-    if description.network.noise_interval:
-        arguments["use_sde"] = True
     policy: BasePolicy = algorithm.policy_aliases[name](*description.view.spaces, lambda _: 0.0, **arguments)
     return policy
 
@@ -335,7 +339,7 @@ def save_bundle(path: str | Path, model: BaseAlgorithm, config: TaskConfig) -> s
         ValueError: as ``from_sb3``, or the policy has arguments that a bundle cannot store.
     """
     net_arch, activation = (model.policy_kwargs.get(name) for name in ("net_arch", "activation_fn"))
-    unknown = sorted(set(model.policy_kwargs) - set(KNOWN))
+    unknown = sorted(set(model.policy_kwargs) - {"use_sde", *KNOWN}) + ["use_sde"] * model.use_sde
     if isinstance(net_arch, dict) and net_arch.get("pi") != net_arch.get("vf", net_arch.get("qf")):
         unknown.append("net_arch with different networks")
     if activation is not None and activation not in ACTIVATIONS.values():
@@ -357,18 +361,16 @@ def _described(model: BaseAlgorithm, config: TaskConfig) -> Description:
     memory = getattr(model.policy, "lstm_actor", None)
     if memory is not None:
         sizes["lstm_hidden_size"] = memory.hidden_size
-    if model.use_sde:
-        sizes["noise_interval"] = max(model.sde_sample_freq, 1)
     shape = getattr(model.policy, "net_arch", None)
     if isinstance(shape, dict):  # networks of actor and critic, which are equal in a bundle
         shape = shape.get("pi")
     activation = getattr(model.policy, "activation_fn", None)
     sizes["activation"] = next((name for name, kind in ACTIVATIONS.items() if kind is activation), None)
-    network = Network(net_arch=tuple(shape or ()), **sizes)
+    network = StoredNetwork(net_arch=tuple(shape or ()), **sizes)
     trained = {"by": "stable_baselines3", "steps": int(model.num_timesteps), "seed": model.seed}
     view = View(observations=tuple(config.observations), averages=(), logarithmic_feed=False)
     return Description(
-        algorithm=algorithm, network=network, view=view, task=config, normalisation=_normalisation(model),
+        algorithm=algorithm, network=network, view=view, task=config, normalisation=_normalisation(model, config),
         trained=trained,
     )  # fmt: skip
 
@@ -387,11 +389,11 @@ def _check_bounds(
             )
 
 
-def _normalisation(model: BaseAlgorithm) -> Normalisation | None:
+def _normalisation(model: BaseAlgorithm, config: TaskConfig) -> Normalisation | None:
     """Statistics of the model's ``VecNormalize``; None if it normalises no observations."""
     normalise = model.get_vec_normalize_env()
     if normalise is None:
-        if model._last_original_obs is not None:  # SB3 stores them in the file, but not the statistics
+        if _was_normalised(model, config):  # SB3's file has its observations, but not the statistics
             raise ValueError(
                 "model was trained with VecNormalize, whose statistics are not in its file: load it with"
                 " env=VecNormalize.load(statistics, env)"
@@ -402,3 +404,17 @@ def _normalisation(model: BaseAlgorithm) -> Normalisation | None:
     statistics: Any = normalise.obs_rms
     mean, var = tuple(statistics.mean.tolist()), tuple(statistics.var.tolist())
     return Normalisation(mean=mean, var=var, clip_obs=normalise.clip_obs, epsilon=normalise.epsilon)
+
+
+def _was_normalised(model: BaseAlgorithm, config: TaskConfig) -> bool:
+    """Whether a model was trained with a ``VecNormalize`` that it no longer has, as far as its file tells.
+
+    Original observations are stored by on-policy algorithms only with ``VecNormalize``, by the others always. The sum
+    of inserted and remaining length is constant, and differs in normalised observations.
+    """
+    last, original = model._last_obs, model._last_original_obs
+    if original is None or last is None:  # without the last observations, after loading with another environment
+        return original is not None and isinstance(model, OnPolicyAlgorithm)
+    columns = [list(config.observations).index(name) for name in ("inserted_length", "remaining_length")]
+    now, before = (np.asarray(rows)[:, columns].sum(axis=1) for rows in (last, original))
+    return not np.allclose(now, before, atol=1e-3)

@@ -2,30 +2,31 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
+from collections.abc import Mapping
 from typing import Annotated, Any, Self
 
 import gymnasium as gym
 import numpy as np
 import numpy.typing as npt
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from probe_agents.policies.plc_law import Constants, PlcProportional, read_constants
 from probe_env.envs.task import TaskConfig, action_of, share_between, share_of, value_at
 from probe_env.envs.task.observations import in_si_units
 from probe_env.envs.task.scales import OBSERVATIONS
 from probe_env.physics.closed_forms import MEASURED, SHAPE, friction_from_tension
-from probe_env.settings import Model, quantity
+from probe_env.settings import Model, quantity, tuples
 
 Rows = npt.NDArray[np.floating[Any]]
 TimeConstant = Annotated[float, quantity(0.1, 1e4, "s")]
 CREDIBLE, MIDDLE, HALF_RANGE = (0.05, 0.35), 0.175, 0.075
 
 
-def guide_of(guide: Any) -> Any:
-    """Replace the name of a law by its constants, which are stored with the agent."""
-    return read_constants() if guide in ("plc-proportional", "plc-law") else guide
+def without(fields: Any, **unused: Any) -> Any:
+    """Fields of a stored model without those that have this value; older bundles hold them, without effect."""
+    if not isinstance(fields, Mapping):
+        return fields
+    return tuples({name: value for name, value in fields.items() if name not in unused or value != unused[name]})
 
 
 class View(Model):
@@ -34,9 +35,6 @@ class View(Model):
     ``friction_estimate`` adds the friction estimated from the root tension. Equal steps of the feed action are equal
     ratios of speed; without ``logarithmic_feed`` it is the task's action. The air action spans the task's range above
     ``least_air_supply_rate`` [m3/s]: less air loses the drive, which is too rare in training to be learnt.
-
-    With a ``guide``, the ten constants of a law, the features include the law's action, and the agent's action is added
-    to it. Action 0 then equals the law.
     """
 
     observations: Annotated[tuple[str, ...], Field(min_length=1, max_length=64)] = tuple(OBSERVATIONS)
@@ -44,21 +42,23 @@ class View(Model):
     friction_estimate: bool = False
     least_air_supply_rate: Annotated[float, quantity(0.0, 0.2, "m3/s")] = 0.0
     logarithmic_feed: bool = True
-    guide: Annotated[Constants | None, BeforeValidator(guide_of)] = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _without_guide(cls, fields: Any) -> Any:
+        return without(fields, guide=None)
 
     @model_validator(mode="after")
     def _estimable(self) -> Self:
-        for field, names in (("friction_estimate", MEASURED), ("guide", (*MEASURED, "rf_noise"))):
-            missing = [name for name in names if name not in self.observations]
-            if getattr(self, field) and missing:
-                raise PydanticCustomError("missing", f"{field} needs the observations {', '.join(missing)}")
+        missing = [name for name in MEASURED if name not in self.observations]
+        if self.friction_estimate and missing:
+            raise PydanticCustomError("missing", f"friction_estimate needs the observations {', '.join(missing)}")
         return self
 
     @property
     def size(self) -> int:
         """Number of features."""
-        guided = 2 if self.guide is not None else 0
-        return (len(self.observations) + self.friction_estimate) * (1 + len(self.averages)) + guided
+        return (len(self.observations) + self.friction_estimate) * (1 + len(self.averages))
 
     @property
     def spaces(self) -> tuple[gym.spaces.Box, gym.spaces.Box]:
@@ -94,7 +94,7 @@ class View(Model):
         Args:
             config: task of the observations.
             rows: observations (N, d).
-            memory: result of the last call: averages and memory of the guide; None: all episodes are new.
+            memory: averages of the last call; None: all episodes are new.
             new: (N,) whether an episode begins.
         """
         visible = np.asarray(rows, dtype=np.float32)[:, self.columns(config)]
@@ -105,29 +105,16 @@ class View(Model):
             scaled = (np.clip(friction, *CREDIBLE) - MIDDLE) / HALF_RANGE
             visible = np.column_stack([visible, scaled]).astype(np.float32)
         repeated = np.tile(visible, len(self.averages))
-        width = repeated.shape[1]
-        before = repeated if memory is None else memory[:, :width]
+        before = repeated if memory is None else memory
         shares = -np.expm1(-config.decision_period / np.array(self.averages))
         gains = np.repeat(shares, visible.shape[1]).astype(np.float32)
         averages = np.where(new[:, None], repeated, before + gains * (repeated - before)).astype(np.float32)
-        if self.guide is None:
-            return np.concatenate([visible, averages], axis=1), averages
-        guide_state = None if memory is None else (memory[:, width:],)
-        guide, (of_guide,) = _guide(config, self.guide).predict(np.asarray(rows), guide_state, new)
-        guided = self.agent_actions(config, guide)
-        return np.concatenate([visible, averages, guided], axis=1), np.concatenate([averages, of_guide], axis=1)
+        return np.concatenate([visible, averages], axis=1), averages
 
-    def guided(self, features: npt.NDArray[np.float32]) -> npt.NDArray[np.float32] | None:
-        """(N, 2) actions of the guide in the agent's encoding, from features (N, size); None without a guide."""
-        return None if self.guide is None else features[:, -2:]
-
-    def env_actions(self, config: TaskConfig, actions: Rows, guided: Rows | None = None) -> npt.NDArray[np.float32]:
-        """(N, 2) actions of the environment for the agent's actions, which are added to ``guided``."""
-        actions = np.asarray(actions, dtype=np.float64)
-        if guided is not None:
-            actions = np.clip(actions + guided, -1.0, 1.0)
+    def env_actions(self, config: TaskConfig, actions: Rows) -> npt.NDArray[np.float32]:
+        """(N, 2) actions of the environment for the agent's actions."""
         low, high = config.feed_speeds
-        share = share_of(actions)
+        share = share_of(np.asarray(actions, dtype=np.float64))
         feed = low * (high / low) ** share[:, 0] if self.logarithmic_feed else value_at(share[:, 0], (low, high))
         linear = action_of(share_between(feed, config.feed_speeds))
         floor = self._air_floor(config)
@@ -135,7 +122,7 @@ class View(Model):
         encoded: npt.NDArray[np.float32] = np.column_stack([linear, action_of(blown)]).astype(np.float32)
         return np.clip(encoded, -1.0, 1.0)
 
-    def agent_actions(self, config: TaskConfig, actions: Rows, guided: Rows | None = None) -> npt.NDArray[np.float32]:
+    def agent_actions(self, config: TaskConfig, actions: Rows) -> npt.NDArray[np.float32]:
         """(N, 2) inverse of ``env_actions``; feed and air below the least are clipped."""
         low, high = config.feed_speeds
         share = share_of(np.asarray(actions, dtype=np.float64))
@@ -144,12 +131,8 @@ class View(Model):
         floor = self._air_floor(config)
         blown = (share[:, 1] - floor) / (1.0 - floor)
         encoded: npt.NDArray[np.float32] = np.column_stack([logarithmic, action_of(blown)]).astype(np.float32)
-        encoded = np.clip(encoded, -1.0, 1.0)
-        return encoded if guided is None else np.clip(encoded - guided, -1.0, 1.0).astype(np.float32)
+        return np.clip(encoded, -1.0, 1.0)
 
     def _air_floor(self, config: TaskConfig) -> float:
         range_ = config.air_supply_rates
         return float(share_between(max(self.least_air_supply_rate, range_[0]), range_))
-
-
-_guide = lru_cache(maxsize=64)(PlcProportional)

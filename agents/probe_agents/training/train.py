@@ -21,7 +21,6 @@ import pandas as pd
 import torch
 from pydantic import Field
 from stable_baselines3 import PPO
-from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.logger import Logger, make_output_format
 from stable_baselines3.common.utils import set_random_seed
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn, VecEnvWrapper
@@ -29,7 +28,7 @@ from tqdm import tqdm
 
 from probe_agents.evaluation.plan import Plan, run_plan
 from probe_agents.evaluation.workers import HERE, Workers
-from probe_agents.policies.bundle import ALGORITHMS, Agent, Description, write_bundle
+from probe_agents.policies.bundle import Agent, Description, StoredNetwork, write_bundle
 from probe_agents.policies.policy import Policy, ranges_of
 from probe_agents.policies.view import Rows, View
 from probe_agents.records.atomic import write_atomically
@@ -48,9 +47,7 @@ from probe_env.fidelity import SURROGATE, Fidelity
 from probe_env.files import MEBI, FileError, one_line, read_bytes
 
 RUN, CHECKPOINT, BEST, CURVE = "run.json", "checkpoint.pt", "agent.safetensors", "learning.csv"
-BUFFER: Final = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
-"""Arrays of a replay buffer."""
-MOST_CHECKPOINT: Final = 16384 * MEBI
+MOST_CHECKPOINT: Final = 1024 * MEBI
 VALIDATED: Final = ("inspection_time_s", "share_within_limit", "diverged")
 """Columns of the learning curve, next to the reward."""
 MINIBATCH: Final = 256
@@ -113,7 +110,7 @@ def prepare(training: Training, output: Path, resume: bool, origin: dict[str, An
         if not resume:
             raise ValueError(f"{folder} holds a run: continue it with --resume, or choose another folder")
         run = read_json(path, Run).model_dump(mode="json")
-        free = ("seeds", "phases", "search")  # more phases may follow
+        free = ("seeds", "phases")  # more phases may follow
         different = [name for name in settings if run["config"][name] != settings[name] and name not in free]
         if different:
             raise ValueError(
@@ -197,19 +194,16 @@ class ViewVecEnv(VecEnvWrapper):
         self.batch, self.view, self.config, self.reward_scale = batch, view, config, reward_scale
         self.rows: Rows = np.zeros((batch.num_envs, len(config.observations)))
         self._memory: Rows | None = None
-        self.guided: npt.NDArray[np.float32] | None = None
-        """(N, 2) actions to which the agent's are added, see ``View.guided``."""
 
     def reset(self) -> VecEnvObs:
         """Start all episodes."""
         self.rows = np.asarray(self.venv.reset())
         features, self._memory = self.view.features(self.config, self.rows, None, np.ones(self.num_envs, dtype=bool))
-        self.guided = self.view.guided(features)
         return features
 
     def step_async(self, actions: np.ndarray) -> None:
         """Convert the actions to those of the environment and store them."""
-        self.venv.step_async(self.view.env_actions(self.config, actions, self.guided))
+        self.venv.step_async(self.view.env_actions(self.config, actions))
 
     def step_wait(self) -> VecEnvStepReturn:
         """One control period; ``terminal_observation`` has the last features of an ended episode."""
@@ -223,24 +217,23 @@ class ViewVecEnv(VecEnvWrapper):
                 infos[k]["terminal_observation"] = terminal
         self.rows = np.asarray(rows)
         features, self._memory = self.view.features(self.config, self.rows, self._memory, np.asarray(dones))
-        self.guided = self.view.guided(features)
         return features, np.asarray(rewards * self.reward_scale, dtype=np.float32), dones, infos
 
 
-def _new_run(training: Training, seed: int, threads: int | None) -> tuple[ViewVecEnv, Plan, BaseAlgorithm]:
+def _new_run(training: Training, seed: int, threads: int | None) -> tuple[ViewVecEnv, Plan, PPO]:
     """Environments of the training, the plan of the validation without a policy, and the untrained model."""
     task = training.task.full_observation
     plan = Plan({}, training.validated_in, (0,), task, training.validation_fidelity, training.environment.probes)
     env = _environments(training, training.environment.fidelity, threads)
     set_random_seed(seed)
-    algorithm, name = ALGORITHMS[training.algorithm]
-    interval = training.network.noise_interval
-    exploration = {"use_sde": True, "sde_sample_freq": interval} if interval else {}
-    arguments = training.network.arguments(training.algorithm)
-    model: BaseAlgorithm = algorithm(
-        name, env, policy_kwargs=arguments, device="cpu", seed=seed, **exploration, **training.learning
-    )
+    arguments = _network(training).arguments("ppo")
+    learning = training.learning.model_dump(exclude_none=True)
+    model = PPO("MlpPolicy", env, policy_kwargs=arguments, device="cpu", seed=seed, **learning)
     return env, plan, model
+
+
+def _network(training: Training) -> StoredNetwork:
+    return StoredNetwork(**training.network.model_dump())
 
 
 def _environments(training: Training, fidelity: str | Fidelity, threads: int | None) -> ViewVecEnv:
@@ -254,7 +247,7 @@ def _environments(training: Training, fidelity: str | Fidelity, threads: int | N
 
 
 def _run_phase(
-    training: Training, model: BaseAlgorithm, env: ViewVecEnv, phase: int, folder: Path, report: Callable[[int], Any]
+    training: Training, model: PPO, env: ViewVecEnv, phase: int, folder: Path, report: Callable[[int], Any]
 ) -> None:
     seed = int(np.random.SeedSequence([int(model.seed or 0), phase]).generate_state(1)[0] % 2**31)
     set_random_seed(seed)
@@ -264,7 +257,7 @@ def _run_phase(
     model.set_env(env, force_reset=True)
     if phase == 0 and training.imitation is not None:
         assert training.teacher is not None
-        imitate(model, env, training.teacher, training.imitation, report)  # type: ignore[arg-type]
+        imitate(model, env, training.teacher, training.imitation, report)
         return
 
     def advance(*_: Any) -> bool:
@@ -283,7 +276,7 @@ def _run_phase(
 
 def _validate(
     training: Training,
-    model: BaseAlgorithm,
+    model: PPO,
     plan: Plan,
     threads: int | None,
     rows: list[dict[str, Any]],
@@ -292,7 +285,7 @@ def _validate(
 ) -> dict[str, Any]:
     """Validate the agent and store it in ``best`` if it is the best so far; returns the row of the phase."""
     description = Description(
-        algorithm=training.algorithm, network=training.network, view=training.view, task=training.task,
+        algorithm="ppo", network=_network(training), view=training.view, task=training.task,
         tubes=ranges_of(training.trained_in), trained=trained,
     )  # fmt: skip
     begin = time.perf_counter()
@@ -350,7 +343,7 @@ def _gather(
     for _ in range(steps):
         action, state = teacher.predict(env.rows, state, start, deterministic=True)
         inputs.append(features)
-        labels.append(env.view.agent_actions(env.config, action, env.guided))
+        labels.append(env.view.agent_actions(env.config, action))
         applied = labels[-1] if teacher_acts else model.predict(features, deterministic=True)[0]
         new, reward, start, _ = env.step(applied)
         features = np.asarray(new)
@@ -366,24 +359,18 @@ def _gather(
     return np.concatenate(inputs), np.concatenate(labels), returns.ravel()
 
 
-def save_checkpoint(model: BaseAlgorithm, rows: list[dict[str, Any]], path: Path) -> None:
-    """Write weights, optimisers, step count and learning curve atomically, for SAC also its replay buffer.
+def save_checkpoint(model: PPO, rows: list[dict[str, Any]], path: Path) -> None:
+    """Write weights, optimiser, step count and learning curve atomically.
 
     Tensors and plain data only: SB3's files hold pickles, which run code when they are loaded.
     """
-    state: dict[str, Any] = {"parameters": model.get_parameters(), "rows": rows, "steps": model.num_timesteps}
-    entropy, replay = getattr(model, "log_ent_coef", None), getattr(model, "replay_buffer", None)
-    if entropy is not None:
-        state["log_ent_coef"] = entropy.detach()
-    if replay is not None:
-        state["replay"] = {name: torch.as_tensor(getattr(replay, name)) for name in BUFFER}
-        state["replay_end"] = {"pos": int(replay.pos), "full": bool(replay.full)}
+    state = {"parameters": model.get_parameters(), "rows": rows, "steps": model.num_timesteps}
     buffer = io.BytesIO()
     torch.save(state, buffer)
     write_atomically(path, buffer.getvalue())
 
 
-def restore(model: BaseAlgorithm, path: Path) -> list[dict[str, Any]]:
+def restore(model: PPO, path: Path) -> list[dict[str, Any]]:
     """Load the state of a checkpoint; returns the learning curve so far, empty without a checkpoint.
 
     Raises:
@@ -400,13 +387,6 @@ def restore(model: BaseAlgorithm, path: Path) -> list[dict[str, Any]]:
         if not all(bool(value.isfinite().all()) for value in model.policy.state_dict().values()):
             raise ValueError("weights that are not finite")
         model.num_timesteps = state["steps"]
-        if "log_ent_coef" in state:
-            model.log_ent_coef.data.copy_(state["log_ent_coef"])  # type: ignore[attr-defined]
-        if "replay" in state:
-            replay: Any = model.replay_buffer  # type: ignore[attr-defined]
-            for name, values in state["replay"].items():
-                getattr(replay, name)[:] = values.numpy()
-            replay.pos, replay.full = state["replay_end"]["pos"], state["replay_end"]["full"]
     except FileError:
         raise
     except Exception as error:  # a damaged file can raise any error in torch or SB3

@@ -1,4 +1,4 @@
-"""Searches the hyperparameters of an agent: Optuna's TPE over the space of a training file, with a median pruner.
+"""Searches the hyperparameters of an agent: Optuna's TPE over ``SPACE``, with a median pruner.
 
 A trial is a training with fewer phases; its value is the best validation reward. Trials are stored in a journal, and
 the sampler is seeded by the number of finished trials, so an interrupted search continues to the same result.
@@ -6,8 +6,10 @@ the sampler is seeded by the number of finished trials, so an interrupted search
 
 from __future__ import annotations
 
+import inspect
 import json
 import warnings
+from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Final
@@ -19,6 +21,7 @@ import pandas as pd
 from optuna.distributions import BaseDistribution, CategoricalDistribution, FloatDistribution, IntDistribution
 from optuna.samplers import BaseSampler, PartialFixedSampler, TPESampler
 from optuna.trial import FrozenTrial, TrialState
+from stable_baselines3 import PPO
 from tqdm import tqdm
 
 from probe_agents.records.atomic import write_atomically
@@ -30,7 +33,7 @@ from probe_agents.records.models import Stored, validate
 from probe_agents.records.searches import JOURNAL, open_study
 from probe_agents.terminal.tables import print_line, print_table
 from probe_agents.terminal.work import Work, announce
-from probe_agents.training.config import Axis, Training, axes_of, value_in, with_values
+from probe_agents.training.config import Training
 from probe_agents.training.train import CHECKPOINT, prepare, train
 from probe_env import SimulationError
 from probe_env.files import FileError, one_line
@@ -39,6 +42,20 @@ from probe_env.settings import within
 TRIALS: Final = "trials.csv"
 STARTUP_TRIALS: Final = 5
 """Complete trials before pruning by the median starts."""
+
+ROLLOUT: Final = "learning.n_steps"
+SPACE: Final[dict[str, BaseDistribution]] = {
+    "learning.gamma": CategoricalDistribution((0.98, 0.99, 0.995, 0.998, 0.999, 0.9995)),
+    "learning.batch_size": CategoricalDistribution((64, 128, 256, 512)),
+    "network.net_arch": CategoricalDistribution(("32x32", "64x64", "128x128")),
+    "learning.learning_rate": FloatDistribution(1e-5, 1e-3, log=True),
+    "learning.n_epochs": IntDistribution(2, 12),
+    "learning.gae_lambda": FloatDistribution(0.9, 1.0),
+    "learning.clip_range": FloatDistribution(0.05, 0.3),
+    "learning.ent_coef": FloatDistribution(1e-6, 1e-2, log=True),
+    "network.log_std_init": FloatDistribution(-4.0, -1.0),
+}
+"""Search space, field -> values; lengths of rollouts that fill phases are added."""
 
 
 class Tuning(Stored):
@@ -55,23 +72,27 @@ class Tuning(Stored):
     seed: int = 0
 
     @cached_property
-    def axes(self) -> dict[str, Axis]:
-        """Field -> its choices or range."""
-        return axes_of(self.training)
+    def space(self) -> dict[str, BaseDistribution]:
+        """``SPACE``, and rollouts that fill the phases: otherwise the trainings would differ in length."""
+        environments = self.training.environment.num_envs
+        rollouts = [n for n in (32, 64, 128, 256, 512) if self.training.phase_steps % (n * environments) == 0]
+        return SPACE | ({ROLLOUT: CategoricalDistribution(rollouts)} if len(rollouts) > 1 else {})
 
     def sampler(self, number: int) -> BaseSampler:
         """Sampler of the trial with this number; the first trial has the values of the file that are in the space."""
         seed = int(np.random.SeedSequence([self.seed, number]).generate_state(1)[0])
         sampler = TPESampler(seed=seed, multivariate=True, constant_liar=False)
-        values = {name: _label(value_in(self.training, name)) for name in self.axes}
-        fixed = {name: value for name, value in values.items() if _contains(self.axes[name], value)}
+        values = {name: _value_in(self.training, name) for name in self.space}
+        fixed = {name: value for name, value in values.items() if _contains(self.space[name], value)}
         return sampler if number else PartialFixedSampler(fixed, sampler)
 
-    def with_parameters(self, parameters: dict[str, Any]) -> Training:
+    def with_parameters(self, parameters: Mapping[str, Any]) -> Training:
         """The training with the parameters of a trial."""
-        labels = {name: {_label(v): v for v in axis} for name, axis in self.axes.items() if isinstance(axis, tuple)}
-        point = {name: labels[name][value] if name in labels else value for name, value in parameters.items()}
-        return with_values(self.training.model_copy(update={"search": None}), point)
+        update: dict[str, dict[str, Any]] = {}
+        for name, value in parameters.items():
+            table, _, field = name.partition(".")
+            update.setdefault(table, {})[field] = tuple(map(int, value.split("x"))) if field == "net_arch" else value
+        return self.training.model_copy(update=update)
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -81,24 +102,20 @@ class Tuning(Stored):
         return training | {"seeds": training["seeds"][:1], "phases": self.phases, "seed": self.seed}
 
 
-def _distribution(axis: Axis) -> BaseDistribution:
-    if isinstance(axis, tuple):
-        return CategoricalDistribution([_label(value) for value in axis])
-    if isinstance(axis.low, int) and isinstance(axis.high, int):
-        return IntDistribution(axis.low, axis.high, axis.log)
-    return FloatDistribution(axis.low, axis.high, axis.log)
-
-
-def _label(value: Any) -> Any:
-    """A choice as stored by Optuna and in tables: layer widths as text."""
+def _value_in(training: Training, name: str) -> Any:
+    """Value of a field as in ``SPACE``; the default of ``learning`` is PPO's."""
+    table, _, field = name.partition(".")
+    value = getattr(getattr(training, table), field)
+    if value is None:
+        value = inspect.signature(PPO.__init__).parameters[field].default
     return "x".join(map(str, value)) if isinstance(value, tuple) else value
 
 
-def _contains(axis: Axis, value: Any) -> bool:
-    if isinstance(axis, tuple):
-        return value in map(_label, axis)
-    kind = int if isinstance(axis.low, int) and isinstance(axis.high, int) else (int, float)
-    return isinstance(value, kind) and axis.low <= value <= axis.high
+def _contains(distribution: BaseDistribution, value: Any) -> bool:
+    if isinstance(distribution, CategoricalDistribution):
+        return value in distribution.choices
+    assert isinstance(distribution, IntDistribution | FloatDistribution)
+    return isinstance(value, int | float) and distribution.low <= value <= distribution.high
 
 
 def search(tuning: Tuning, trials: int, output: Path) -> optuna.Study:
@@ -108,7 +125,7 @@ def search(tuning: Tuning, trials: int, output: Path) -> optuna.Study:
         FileError: the folder holds another search, or a damaged one.
     """
     output.mkdir(parents=True, exist_ok=True)
-    study, origin = open_study(output / JOURNAL, "tuning", ["maximize"], tuning.axes), made_by()
+    study, origin = open_study(output / JOURNAL, "tuning", ["maximize"], tuning.space), made_by()
     if "search" in study.user_attrs:
         before, now = validate(output / JOURNAL, "", study.user_attrs["search"], Tuning).settings, tuning.settings
         different = ", ".join(name for name in now if before[name] != now[name])
@@ -118,14 +135,13 @@ def search(tuning: Tuning, trials: int, output: Path) -> optuna.Study:
     # phase 0 is the warm start, which hardly depends on the hyperparameters
     study.pruner = optuna.pruners.MedianPruner(n_startup_trials=STARTUP_TRIALS, n_warmup_steps=1)
     announce(Work("trial", trials, lambda: len(finished(study)), output))
-    distributions = {name: _distribution(axis) for name, axis in tuning.axes.items()}
     with tqdm(total=trials, initial=min(len(finished(study)), trials), desc="search", unit="trial") as bar:
         for number in range(len(finished(study)), trials):
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
                 warnings.filterwarnings("ignore", ".*mini-batch size")  # the last one of an epoch may be smaller
                 study.sampler = tuning.sampler(number)
-                trial = study.ask(distributions)
+                trial = study.ask(tuning.space)
                 _run_trial(tuning, study, trial, output / "trials" / f"{number:04d}", origin)
             write_atomically(output / TRIALS, trials_table(study).to_csv(index=False))
             bar.update()
@@ -157,7 +173,7 @@ def _run_trial(tuning: Tuning, study: optuna.Study, trial: optuna.Trial, folder:
     trial.set_user_attr("commit", origin["commit"])
     trial.set_user_attr("seconds", sum(row["wall_s"] + row["validation_s"] for row in rows))
     study.tell(trial, max(row["reward"] for row in rows) if state == TrialState.COMPLETE else None, state)
-    (run / CHECKPOINT).unlink(missing_ok=True)  # a replay buffer may be large
+    (run / CHECKPOINT).unlink(missing_ok=True)
 
 
 def finished(study: optuna.Study) -> list[FrozenTrial]:
@@ -217,7 +233,7 @@ def run_tuning(training: Training, trials: int, phases: int | None, output: Path
     )
     write_atomically(output / "found.toml", f"{heading}\n{tuning.with_parameters(best.params).to_toml()}")
     _draw(table, output / "search.png")
-    space = {name: axis if isinstance(axis, tuple) else axis.model_dump() for name, axis in tuning.axes.items()}
+    space = {name: distribution._asdict() for name, distribution in tuning.space.items()}
     setting = json.loads(tuning.model_dump_json()) | {"space": space, "trials": len(table), "best": number}
     write_manifest(output, (TRIALS, "found.toml"), seeds=(seed,), commits=table["commit"], **setting)
     _print(table)
