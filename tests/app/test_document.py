@@ -116,7 +116,7 @@ def test_charts_around_the_tube_are_drawn_less_often_while_the_probe_moves(app, 
     case = load_case(None, "test", 1)
     config = case.config.full_observation
     plan = Plan(named_policies(["constant"], config), case.contexts, config=config, fidelity=resolve_fidelity("fast"))
-    runner, page = RolloutRunner(plan, deque(plan.units()), 1, 1), Page(app)
+    runner, page = RolloutRunner(plan, deque(plan.episode_ids()), 1, 1), Page(app)
     screen, clock = page.insertion, SimpleNamespace(monotonic=iter((10.0, 10.1, 10.5, 10.55)).__next__)
     monkeypatch.setattr("probe_agents.app.screens.insertion.time", clock)
     run = page.session.run = Run(RunRequest(policies=("constant",), output=app.output), "running")
@@ -124,8 +124,8 @@ def test_charts_around_the_tube_are_drawn_less_often_while_the_probe_moves(app, 
     def positions(paused=False):
         """Tips in the tube and in the charts around it after another period."""
         list(runner.step())
-        rows = ((runner.unit(0), np.array([row_of(runner, 0)])),)
-        run.update(Frame((runner.unit(0),), 0, runner.unit(0), rows, shape_of(runner, 0), 0, paused))
+        rows = ((runner.episode_id(0), np.array([row_of(runner, 0)])),)
+        run.update(Frame((runner.episode_id(0),), 0, runner.episode_id(0), rows, shape_of(runner, 0), 0, paused))
         screen.refresh()
         return max(screen.probe.tube.floats.data["position"]), max(screen.probe.forces.data["position"])
 
@@ -140,22 +140,23 @@ def test_all_charts_are_of_the_watched_insertion_when_another_one_ends(app, monk
     case = load_case(Plant(tube={"helix_length": 7.0}), "test", 1)
     config, names = case.config.full_observation, ["constant", "slow"]
     plan = Plan(named_policies(names, config), case.contexts, config=config, fidelity=resolve_fidelity("fast"))
-    runner, page = RolloutRunner(plan, deque(plan.units()), 2, 1), Page(app)
+    runner, page = RolloutRunner(plan, deque(plan.episode_ids()), 2, 1), Page(app)
     screen = page.insertion
     monkeypatch.setattr("probe_agents.app.screens.insertion.time", SimpleNamespace(monotonic=lambda: 10.0))
     run = page.session.run = Run(RunRequest(policies=tuple(names), output=app.output), "running")
     for k in (0, 1):
         while runner.episodes.running[0] or not runner.last:
             list(runner.step())
-        rows = ((runner.unit(k), np.array([row_of(runner, k)])),)
-        run.update(Frame(tuple(runner.units), k, runner.unit(k), rows, shape_of(runner, k), k, False))
+        rows = ((runner.episode_id(k), np.array([row_of(runner, k)])),)
+        run.update(Frame(tuple(runner.ids), k, runner.episode_id(k), rows, shape_of(runner, k), k, False))
         screen.refresh()
         assert f"Probe of {names[k]}, tube 0" in screen.probe.title.text
         assert f"<b>{names[k]}, tube 0</b>" in screen.status.text
         assert f"Observation of {names[k]}<" in screen.observation.text
         length = float(re.search(r"inserted length</td><td>([\d.]+)", screen.observation.text)[1])
-        assert length == pytest.approx(run.trace(runner.unit(k))["inserted_length"][-1], rel=1e-3)
-        assert f"It requests <b>{run.trace(runner.unit(k))['target_feed_speed'][-1]:.3f} m/s" in screen.observation.text
+        assert length == pytest.approx(run.trace(runner.episode_id(k))["inserted_length"][-1], rel=1e-3)
+        requested = run.trace(runner.episode_id(k))["target_feed_speed"][-1]
+        assert f"It requests <b>{requested:.3f} m/s" in screen.observation.text
     assert screen.charts.source.data["colour"] == list(policy_colours(names).values())
 
 

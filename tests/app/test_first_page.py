@@ -1,6 +1,5 @@
 """The first page of the report and the app's screen, for insertions made by hand: verdict, metres to repeat, hours."""
 
-import json
 import re
 from html import unescape
 
@@ -34,7 +33,7 @@ class Idle:
     changes = 0
 
 
-def store(folder, insertions, config=CONFIG, bundle=BUNDLE, policies=None, own=("mine",)):
+def store(folder, insertions, config=CONFIG, bundle=BUNDLE, policies=None, users=("mine",)):
     """Store an evaluation and its report; insertions (feed, vibration) of every tube, 275 s each."""
     schedule = Schedule("inserted_length", "linear", (5.0, 20.0, 60.0), (0.4, 0.2, 0.1), (0.02, 0.02, 0.03))
     policies = policies or {"mine": Scheduled(config, schedule), "other": Constant(config)}
@@ -69,11 +68,9 @@ def store(folder, insertions, config=CONFIG, bundle=BUNDLE, policies=None, own=(
                     "permitted_speed": 0.25 + 0.0 * METRE,
                 }
             profile = {name: values.tolist() for name, values in columns.items()}
-            yield (
-                json.dumps({"key": plan.key(unit), "unit": unit, "commit": "", "kpis": kpis, "profile": profile}) + "\n"
-            )
+            yield {"key": plan.key(unit), "episode": unit, "commit": "", "kpis": kpis, "profile": profile}
 
-    report = ReportSettings(against="other", own=own, bundle=bundle)
+    report = ReportSettings(against="other", user_policies=users, bundle=bundle)
     run_plan(plan, folder, progress=False, source=lines, report=report)
     return write_report(folder).read_text()
 
@@ -169,7 +166,7 @@ def test_without_instrument_and_bundle_their_parts_are_left_out(tmp_path):
 
 def test_without_a_file_of_the_user_the_page_is_of_the_best_policy(tmp_path):
     """A constant has no schedule file: its feed and air are as driven."""
-    page = texts(front(store(tmp_path / "run", [(SLOW, QUIET)], policies={"other": Constant(CONFIG)}, own=())))
+    page = texts(front(store(tmp_path / "run", [(SLOW, QUIET)], policies={"other": Constant(CONFIG)}, users=())))
     assert page[:2] == ["The best policy,", "other"]
     assert page[2].startswith(", is allowed: ")
     rows = page[page.index("as driven, mean over the insertions") :][4:]

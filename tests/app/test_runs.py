@@ -73,7 +73,7 @@ def test_a_run_equals_the_evaluation_of_the_command_bit_for_bit(queue, tube, tmp
     assert (tmp_path / "app" / "report.html").exists()
     shape, last = run.frame.shape, run.trace(run.frame.unit)  # heading and picture are of the same insertion
     assert shape.observation["inserted_length"] == pytest.approx(last["inserted_length"][-1], rel=1e-6)
-    for unit in plan.units():
+    for unit in plan.episode_ids():
         trace = run.trace(unit)
         episode = table[(table["policy"] == unit[0]) & (table["context"] == unit[1])].iloc[0]
         assert trace["reward"][-1] == episode["reward"]

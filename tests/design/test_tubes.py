@@ -57,15 +57,17 @@ def test_designs_are_the_plant_s_probe_changed_and_folders_are_of_one_plant(tmp_
     assert (built["own"]["line_density"], built["long"]["line_density"]) == (0.13, 0.13)
     assert built["long"]["carrier_float_diameter"] == 0.016
     before = {path: path.read_bytes() for path in (tmp_path / "out").iterdir()}
-    assert "'out' holds trials in the tubes of mine, not of other: choose" in refused(capsys, *run, "other.toml")
-    assert "of mine, not of table 2" in refused(capsys, *run[:1], "improved", *run[3:-1])
-    assert "of mine, not of table 2" in refused(capsys, "design", "--trials", "2", "--limit", "1", "--output", "out")
+    assert '(tube.name "mine", now "other"; also tube.digest, task' in refused(capsys, *run, "other.toml")
+    assert '(tube.name "mine", now "table 2"' in refused(capsys, *run[:1], "improved", *run[3:-1])
+    assert '(tube.name "mine", now "table 2"' in refused(
+        capsys, "design", "--trials", "2", "--limit", "1", "--output", "out"
+    )
     (tmp_path / "mine.toml").write_text(OWN.replace("0.22", "0.23"))
-    assert "of mine before its file changed, not of mine" in refused(capsys, *run, "mine.toml")
+    assert "with other settings (tube.digest " in refused(capsys, *run, "mine.toml")
     assert {path: path.read_bytes() for path in (tmp_path / "out").iterdir()} == before
     assert main(["compare", "original", "--limit", "1", "--output", "study"]) == 0
     mine = ("compare", "own.toml", "--limit", "1", "--output", "study", "--tube", "mine.toml")
-    assert "'study' holds trials in the tubes of table 2, not of mine" in refused(capsys, *mine)
+    assert '(tube.name "table 2", now "mine"' in refused(capsys, *mine)
 
 
 def test_what_does_not_fit_is_refused_before_any_work(tmp_path, capsys):
@@ -99,7 +101,11 @@ def test_a_search_is_among_what_fits_the_plant(tmp_path, capsys, monkeypatch):
         assert all(low <= start[name] <= high for name, (low, high, _) in problem.axes.items())
     other = design_problem("best-constant", False, load_case(tmp_path / "other.toml", "train", 2), "standard")
     usual = design_problem("best-constant", False, load_case(None, "train", 2), "standard")
-    assert len({one.identity() for one in (problem, other, usual)}) == 3
+    with problem.search_folder(tmp_path / "problem", 0).open():
+        pass
+    for another, seed, changed in ((other, 0, "tube.name"), (usual, 0, "tube.name"), (problem, 1, "seed 0, now 1")):
+        with pytest.raises(ValueError, match=f"these trials were simulated with other settings .{changed}"):
+            another.search_folder(tmp_path / "problem", seed).check()
     assert (usual.cuts, list(usual.probes)) == ((), ["the study's original", "the study's improved"])
 
     monkeypatch.setattr(DesignProblem, "value", lambda _, point, workers=None: (point["guide_length"], 100.0, 1.0))

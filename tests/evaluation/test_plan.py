@@ -5,6 +5,7 @@ import importlib
 import itertools
 import json
 from collections import deque
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -24,6 +25,7 @@ from probe_agents.terminal.work import Work
 from probe_env import Context, Scene, load_contexts
 from probe_env.design import RANGES
 from probe_env.envs.task import TaskConfig
+from probe_env.envs.vibration_map import stored_map
 from probe_env.fidelity import PRESETS, ROUND_TRIP_PRESETS
 
 
@@ -60,7 +62,7 @@ def test_the_profile_of_both_passes_reaches_to_the_turn():
     scene = Scene.model_validate({"tube": {"helix_length": 8.0}, "carrier_length": 4.0})
     config = TaskConfig(passes="both", scene=scene, time_limit=100.0)
     plan = Plan({"in and back": make_policy("fast-in", config)}, [Context()], (0,), config, ROUND_TRIP_PRESETS["fast"])
-    runner, lengths, rows = RolloutRunner(plan, deque(plan.units()), 1, 1), [], []
+    runner, lengths, rows = RolloutRunner(plan, deque(plan.episode_ids()), 1, 1), [], []
     while not runner.over:
         if list(runner.step()):
             rows = [row[PROFILE_COLUMNS.index("inserted_length")] for row in runner.profile[0]]
@@ -112,47 +114,27 @@ def test_an_evaluation_that_is_stopped_continues_to_the_same_table(stopped_at, t
     same(run_plan(make_plan(4, 3), folder, batch=2, progress=False), whole)
 
 
-def test_a_line_that_was_cut_off_is_played_again(stored, monkeypatch):
-    journal, table = stored / "episodes.jsonl", pd.read_parquet(stored / "episodes.parquet")
-    content = journal.read_bytes()
-    journal.write_bytes(content[:-40])
-    same(run_plan(make_plan(), stored, progress=False), table)
-    assert journal.read_bytes() == content
-    journal.write_bytes(content[:-1])  # a whole line without its end counts
-    monkeypatch.setattr("probe_agents.evaluation.plan.make_episodes", None)  # playing anything would fail
-    same(run_plan(make_plan(), stored, progress=False), table)
-    assert journal.read_bytes() == content[:-1]
-
-
-def test_episodes_of_another_setting_version_or_commit_are_refused(stored, monkeypatch):
-    monkeypatch.setattr("probe_agents.evaluation.plan.make_episodes", None)
-    assert len(run_plan(make_plan(), stored, progress=False)) == 12  # nothing is done again
-    before = {path: path.read_bytes() for path in stored.iterdir()}
+def test_a_folder_of_other_settings_is_refused_but_observations_may_differ(stored, monkeypatch):
+    monkeypatch.setattr("probe_agents.evaluation.plan.make_episodes", None)  # simulating anything would fail
+    table, before = pd.read_parquet(stored / "episodes.parquet"), {path: path.read_bytes() for path in stored.iterdir()}
+    limit = CONFIG.model_copy(update={"time_limit": 0.5})
     for plan, name in (
-        (make_plan(config=CONFIG.model_copy(update={"time_limit": 0.5})), "time_limit"),
+        (make_plan(config=limit), r"task\.time_limit 0\.3, now 0\.5"),
         (make_plan(probes="random"), "probes"),
     ):
-        with pytest.raises(ValueError, match=rf"evaluation has episodes with other settings \({name} differ\)"):
+        with pytest.raises(ValueError, match=rf"these episodes were simulated with other settings \({name}"):
             run_plan(plan, stored, progress=False)
-    for name, value in (("commit", "0123456789ab+changes"), ("version", "9.9")):
-        with monkeypatch.context() as patch:
-            patch.setattr(f"probe_agents.evaluation.plan.{name}", lambda *_, value=value: value)
-            with pytest.raises(ValueError, match=rf"other settings \({name} differ; {name} .*, now {value[:3]}"):
-                run_plan(make_plan(), stored, progress=False)
     assert {path: path.read_bytes() for path in stored.iterdir()} == before
-    (stored / "setting.json").unlink()
-    with pytest.raises(ValueError, match=r"setting\.json: missing next to episodes\.jsonl"):
-        run_plan(make_plan(), stored, progress=False)
-
-
-def test_what_is_observed_and_fields_newer_than_the_results_make_no_other_setting(stored):
-    table = pd.read_parquet(stored / "episodes.parquet")
-    setting = json.loads((stored / "setting.json").read_text())
-    del setting["probes"], setting["task"]["observe_probe"]
-    (stored / "setting.json").write_text(json.dumps(setting))
     same(run_plan(make_plan(config=CONFIG.full_observation), stored, progress=False), table)
-    again = run_plan(make_plan(config=CONFIG.full_observation), None, progress=False)
-    same(again.drop(columns="commit"), table.drop(columns="commit"))
+
+
+def test_another_map_of_the_surrogate_is_another_setting(tmp_path):
+    plan = make_plan(fidelity=PRESETS["surrogate"])
+    with plan.folder(tmp_path).open():
+        pass
+    other = replace(plan, vibration=replace(stored_map(), digest="0123456789abcdef"))
+    with pytest.raises(ValueError, match=r"other settings \(surrogate_map "):
+        other.folder(tmp_path).check()
 
 
 def test_random_probes_are_the_same_for_all_policies(evaluated, tmp_path):
@@ -182,7 +164,7 @@ def test_evaluate_gives_the_table_with_and_without_a_folder(tmp_path):
     output = tmp_path / "out"
     stored = evaluate(["slow-down", "constant"], output, against="constant", **arguments)
     same(stored.drop(columns="commit"), table.drop(columns="commit"))
-    assert json.loads((output / "report.json").read_text()) == {"against": "constant", "own": []}
+    assert json.loads((output / "report.json").read_text()) == {"against": "constant", "user_policies": []}
     manifest = json.loads((output / "manifest.json").read_text())
     assert set(manifest["files"]) == {"episodes.csv", "episodes.parquet", "profile.parquet", "setting.json"}
     assert (manifest["seeds"], list(manifest["policies"])) == ([0], ["slow-down", "constant"])

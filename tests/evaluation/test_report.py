@@ -157,7 +157,7 @@ def test_a_stored_evaluation_gets_its_report_again(stored, tmp_path, capsys, mon
     assert {name: (stored / name).read_bytes() for name in before} == before
     assert main(["evaluate", str(stored), "--against", "feed 1"]) == 0
     assert "Differences to feed 1" in (stored / "report.html").read_text()
-    assert json.loads((stored / "report.json").read_text()) == {"against": "feed 1", "own": []}
+    assert json.loads((stored / "report.json").read_text()) == {"against": "feed 1", "user_policies": []}
     capsys.readouterr()
     assert main(["evaluate", str(stored), "--against", "feed 7"]) == 2
     assert "against = 'feed 7' is not one of the policies: feed 0, feed 1" in capsys.readouterr().err
@@ -171,7 +171,7 @@ def test_tables_of_before_are_not_taken_for_those_of_a_changed_schedule(stored):
     changed = make_plan()
     changed.policies["feed 1"] = Constant(CONFIG, feed_speed=0.35)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("probe_agents.evaluation.plan._lines", lambda *_: iter(()))
+        patch.setattr("probe_agents.evaluation.plan._records", lambda *_: iter(()))
         with pytest.raises(KeyError):  # as if it had been killed before its first episode
             run_plan(changed, stored, progress=False)
     done = read_evaluation(stored)
@@ -186,7 +186,7 @@ def page(tmp_path_factory):
     policies = {
         "my schedule": Scheduled(CONFIG, MINE), "pi": PI(CONFIG), "</script><img src=x>": Constant(CONFIG),
     }  # fmt: skip
-    evaluate_plan(make_plan(policies=policies, seeds=(0,)), folder, own=["my schedule"])
+    evaluate_plan(make_plan(policies=policies, seeds=(0,)), folder, users=["my schedule"])
     return (folder / "report.html").read_text()
 
 
@@ -352,6 +352,9 @@ def test_the_page_names_passes_and_strained_cables(stored):
     table = pd.read_parquet(stored / "episodes.parquet")
     table["cost_tension"] = np.where((table["policy"] == "feed 1") & (table["context"] > 0), 3.0, 0.0)
     table.to_parquet(stored / "episodes.parquet")
+    (stored / "manifest.json").write_text(
+        json.dumps(json.loads((stored / "manifest.json").read_text()) | {"files": {}})
+    )
     page = write_report(stored).read_text()
     assert "<li>feed 1: the root was over the tension limit in 4 of 6 episodes, for 3 control periods at most<" in page
     assert "feed 0: the root" not in page

@@ -111,7 +111,7 @@ def outcomes(policy, tubes):
     """KPIs and profile by policy and tube, without and with the shield."""
     policies = {"bare": policy, "shielded": Shielded(CONFIG, policy)}
     plan = Plan(policies, tubes, config=CONFIG, fidelity=resolve_fidelity("fast"))
-    runner, ended = RolloutRunner(plan, deque(plan.units()), 12, 1), []
+    runner, ended = RolloutRunner(plan, deque(plan.episode_ids()), 12, 1), []
     while not runner.over:
         ended += map(json.loads, runner.step())
     return {tuple(record["unit"][:2]): (record["kpis"], record["profile"]) for record in ended}

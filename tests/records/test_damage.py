@@ -15,6 +15,8 @@ from plans import make_plan
 from poisons import ANYWHERE, FAST, JSON, failures_of
 from safetensors.numpy import load, save
 
+from probe_agents.cli import main
+from probe_agents.design.compare import Trial
 from probe_agents.evaluation.folder import (
     PROFILE,
     Episode,
@@ -29,7 +31,8 @@ from probe_agents.evaluation.run import evaluate_plan
 from probe_agents.policies.bundle import Description, Network, _hash, build_policy, load_bundle, write_bundle
 from probe_agents.policies.trained import read_weights
 from probe_agents.policies.view import View
-from probe_agents.records.models import Journal, read_json
+from probe_agents.records.models import read_json
+from probe_agents.records.result_folder import Journal
 from probe_agents.records.searches import open_study
 from probe_agents.records.tables import read_csv, read_parquet
 from probe_env import Scene
@@ -114,6 +117,10 @@ def test_journals(stored):
     assert failures_of(path, LINES, read) == []
     assert failures_of(path, RECORDS, read, "line 2: ") == []
     assert failures_of(path, AT_THE_END, read, "line 5: ") == []
+    good = json.dumps({"key": "0123456789abcdef", "kpis": dict.fromkeys(KPI_NAMES, 1.0)})
+    path.write_text(f'{good}\n{{"key": "0123456789abcdef", "kpis": {{"reward": 1}}}}\n{good}\n')
+    with pytest.raises(FileError, match=r"line 2: kpis: .*radial_rms_m"):
+        Journal(path, Trial).read()
 
 
 def test_json_files(stored):
@@ -199,32 +206,27 @@ def test_csv_tables(tmp_path):
     assert failures_of(path, damages, lambda path: read_csv(path, CURVE)) == []
 
 
-def test_commands_name_the_damaged_file(stored, refused):
+def test_commands_name_the_damaged_file(stored, refused, tmp_path, capsys):
     """One damage each: of the journal when it is continued, of the other files when a report is written."""
     (stored / "unfinished.json").unlink()
     (stored / "report.json").write_text('{"against": "nobody"}')
     refused(["evaluate", stored], "report.json: against = 'nobody' is not one of the policies")
     (stored / "report.json").unlink()
-    for name, column, value, message in (
-        ("profile", "policy", "somebody", "profile.parquet: has policies that are not in episodes.parquet"),
-        ("episodes", "reward", float("nan"), "row 1: reward = nan is not finite"),
-    ):
-        path = stored / f"{name}.parquet"
-        pd.read_parquet(path).assign(**{column: value}).to_parquet(path, index=False)
-        refused(["evaluate", stored], message)
+    for name in ("profile.parquet", "episodes.parquet", "setting.json"):
+        content = (stored / name).read_bytes()
+        (stored / name).write_bytes(content[:40] + bytes([content[40] ^ 1]) + content[41:])
+        refused(["evaluate", stored], f"{stored / name}: its content is not what manifest.json says")
+        (stored / name).write_bytes(content)
     (stored / "profile.parquet").unlink()
     refused(["evaluate", stored], f"no such file: {stored / 'profile.parquet'}")
-    (stored / "setting.json").write_text("{}")
-    refused(["evaluate", "constant", *FAST, "--output", stored], f"{stored / 'setting.json'}: ")
-    (stored / "setting.json").unlink()
-    (stored / "episodes.jsonl").write_text("seven\n")
-    refused(["evaluate", "constant", *FAST, "--output", stored], f"{stored / 'episodes.jsonl'}: line 1: ")
-
-
-def test_an_interrupted_comparison_names_its_journal(tmp_path, refused):
-    good = json.dumps({"key": "0123456789abcdef", "kpis": dict.fromkeys(KPI_NAMES, 1.0)})
-    (tmp_path / "designs.jsonl").write_text(f'{good}\n{{"key": "0123456789abcdef", "kpis": {{"reward": 1}}}}\n{good}\n')
-    refused(["compare", "original", "--limit", "1", "--output", tmp_path], f"{tmp_path / 'designs.jsonl'}: line 2: ")
+    output = tmp_path / "short"
+    run = ["evaluate", "constant", "--limit", "1", "--fidelity", "surrogate", "--output", str(output)]
+    assert main(run) == 0
+    capsys.readouterr()
+    (output / "episodes.jsonl").write_text("seven\n")
+    refused(run, f"{output / 'episodes.jsonl'}: line 1: ")
+    (output / "setting.json").write_text("{}")
+    refused(run, f"{output / 'setting.json'}: ")
 
 
 # ---- searches ----

@@ -15,27 +15,13 @@ from probe_agents.evaluation.kpis import CORE, KPIS, displayed_kpis
 from probe_agents.records import manifest
 from probe_agents.records.atomic import write_atomically
 from probe_agents.records.manifest import write_json, write_manifest
-from probe_agents.records.models import Journal, complete
+from probe_agents.records.result_folder import Journal
 from probe_agents.records.searches import open_study
 from probe_agents.records.tables import read_csv
 from probe_agents.terminal.messages import format_error
 from probe_env.files import FileError, one_line, read_bytes, read_text
 
 ROOT = Path(__file__).parents[2]
-
-
-def test_only_a_line_that_was_cut_off_is_removed_from_a_journal(tmp_path):
-    path = tmp_path / "episodes.jsonl"
-    complete(path)  # there is none
-    for content, kept in (
-        ("", ""),
-        ('{"key": "a\n', '{"key": "a\n'),  # damaged, which readers name
-        ('{"key": "a"}\n{"key": "b"}', '{"key": "a"}\n{"key": "b"}\n'),
-        ('{"key": "a"}\n{"key": "b', '{"key": "a"}\n'),
-    ):
-        path.write_text(content)
-        complete(path)
-        assert path.read_text() == kept
 
 
 def test_cells_of_csv_tables_stay_what_they_are(tmp_path):
@@ -163,18 +149,7 @@ def test_errors_of_the_system_name_the_file(tmp_path, monkeypatch):
 
 def write_line(path):
     with Journal(path, Episode).appending() as append:
-        append("{}")
-
-
-def test_a_second_process_may_not_append_to_a_journal(tmp_path):
-    path = tmp_path / "a.jsonl"
-    with Journal(path, Episode).appending() as append:
-        append("first\n")
-        with pytest.raises(FileError, match="another process is working there: wait for it"):
-            write_line(path)
-    assert path.read_text() == "first\n"
-    write_line(path)
-    assert path.read_text() == "first\n{}"
+        append({})
 
 
 def test_a_deleted_working_folder_is_named(tmp_path, monkeypatch):

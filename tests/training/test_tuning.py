@@ -11,7 +11,7 @@ import pytest
 from kills import killed_at
 
 from probe_agents.cli import main
-from probe_agents.records.locks import run_lock
+from probe_agents.records.result_folder import run_lock
 from probe_agents.records.shipped import file_or_shipped
 from probe_agents.training import tuning as module
 from probe_agents.training.config import Training

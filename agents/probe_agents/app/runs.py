@@ -18,7 +18,7 @@ from typing import Any, Final, Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from probe_agents.evaluation.plan import Plan, Unit
+from probe_agents.evaluation.plan import EpisodeId, Plan
 from probe_agents.evaluation.run import plan_of
 from probe_agents.policies.cases import load_case
 from probe_agents.policies.catalogue import name_and_spec
@@ -146,10 +146,10 @@ class ProbeShape:
 class Frame:
     """State of a run, sent several times a second."""
 
-    units: tuple[Unit | None, ...]  # episodes in progress; None: no episode at this index
+    units: tuple[EpisodeId | None, ...]  # episodes in progress; None: no episode at this index
     watched: int  # index of the episode in ``shape``
-    unit: Unit | None  # episode in ``shape``, which may have ended
-    rows: tuple[tuple[Unit, FloatArray], ...]  # (p, columns) periods of each episode since the last frame
+    unit: EpisodeId | None  # episode in ``shape``, which may have ended
+    rows: tuple[tuple[EpisodeId, FloatArray], ...]  # (p, columns) periods of each episode since the last frame
     shape: ProbeShape | None  # None: no episode has begun
     done: int  # number of finished episodes
     paused: bool  # whether the worker waits for "continue"
@@ -187,7 +187,7 @@ class Run:
     info: RunStarted = field(default_factory=RunStarted)  # number of episodes, warnings, limit and sensor
     frame: Frame | None = None  # last frame
     motion: Motion | None = None  # last slow motion
-    traces: dict[Unit, list[FloatArray]] = field(default_factory=dict)  # (p, columns) parts of every episode
+    traces: dict[EpisodeId, list[FloatArray]] = field(default_factory=dict)  # (p, columns) parts of every episode
     commands: list[Command] = field(default_factory=list)  # commands for its start
 
     @property
@@ -195,7 +195,7 @@ class Run:
         """Whether it is running and waits for "continue"."""
         return self.state == "running" and self.frame is not None and self.frame.paused
 
-    def trace(self, unit: Unit) -> dict[str, FloatArray]:
+    def trace(self, unit: EpisodeId) -> dict[str, FloatArray]:
         """(p,) of each of ``COLUMNS`` for an episode."""
         parts = self.traces.get(unit, [])
         return dict(zip(COLUMNS, np.concatenate(parts).T if parts else np.zeros((len(COLUMNS), 0)), strict=True))

@@ -11,7 +11,6 @@ import signal
 import time
 import warnings
 from collections import deque
-from collections.abc import Iterator
 from contextlib import suppress
 from multiprocessing.connection import Connection
 from typing import Final
@@ -30,7 +29,8 @@ from probe_agents.app.runs import (
     RunRequest,
     RunStarted,
 )
-from probe_agents.evaluation.plan import BATCH, Plan, RolloutRunner, Unit, run_plan, stored_episodes
+from probe_agents.evaluation.folder import episodes_of
+from probe_agents.evaluation.plan import BATCH, EpisodeId, Plan, Records, RolloutRunner, run_plan
 from probe_agents.evaluation.run import report_settings, write_report
 from probe_agents.policies.catalogue import user_policies
 from probe_agents.records.manifest import write_json
@@ -106,7 +106,7 @@ class _RequestRunner:
     def __init__(self, pipe: Connection, request: RunRequest) -> None:
         self.pipe, self.request = pipe, request
         self.pace, self.paused, self.watched, self.done = 0.0, False, 0, 0
-        self.rows: dict[Unit, list[tuple[float, ...]]] = {}
+        self.rows: dict[EpisodeId, list[tuple[float, ...]]] = {}
         self.shown_at = self.due = 0.0
         self.manual: ManualPolicy | None = None
 
@@ -119,12 +119,14 @@ class _RequestRunner:
             request, names, output = self.request, list(plan.policies), self.request.output
             users = [MANUAL] * request.manual + user_policies(request.policies)
             report = report_settings(plan, names[1] if request.manual and len(names) > 1 else None, users)
-            stored = stored_episodes(plan, output)
+            journal = episodes_of(output)
+            plan.folder(output).check(journal.path.name)
+            stored = journal.read()
             write_json(output / REQUEST, request.model_dump(mode="json"))  # to resume the run
             self.done = sum(key in stored for key, *_ in plan.planned())
             limit = plan.config.limit if plan.config.vibration_measure == "displacement" else None
             notes = tuple(str(warning.message) for warning in caught)
-            self.pipe.send(RunStarted(len(plan.units()), notes, limit, plan.config.sensor))
+            self.pipe.send(RunStarted(len(plan.episode_ids()), notes, limit, plan.config.sensor))
             run_plan(plan, output, progress=False, source=self._source, command=request.command, report=report)
             write_report(output)
             self.pipe.send(RunEnded("finished"))
@@ -135,8 +137,8 @@ class _RequestRunner:
         except (ValueError, OSError, SimulationError, RuntimeError, ImportError) as error:
             self.pipe.send(RunEnded("failed", format_error(error)))
 
-    def _source(self, plan: Plan, missing: deque[Unit]) -> Iterator[str]:
-        """Yield the journal lines of the episodes; executes commands and sends frames in between."""
+    def _source(self, plan: Plan, missing: deque[EpisodeId]) -> Records:
+        """Yield the records of the episodes; executes commands and sends frames in between."""
         self.manual = next((p for p in plan.policies.values() if isinstance(p, ManualPolicy)), None)
         runner = RolloutRunner(plan, missing, BATCH, None)
         self.due = time.monotonic()
@@ -146,7 +148,7 @@ class _RequestRunner:
                 runner.decide()
             ended = list(runner.advance())
             for k in np.flatnonzero(runner.active).tolist():
-                self.rows.setdefault(runner.unit(k), []).append(row_of(runner, k))
+                self.rows.setdefault(runner.episode_id(k), []).append(row_of(runner, k))
             self.done += len(ended)
             yield from ended
             if runner.over or time.monotonic() - self.shown_at >= 1.0 / FRAMES_PER_SECOND:
@@ -194,9 +196,9 @@ class _RequestRunner:
         running = runner.episodes.running
         if self.watched >= len(running) or not running[self.watched]:
             self.watched = int(running.argmax()) if running.any() else min(self.watched, len(running) - 1)
-        units = tuple(unit if running[k] else None for k, unit in enumerate(runner.units))
+        units = tuple(unit if running[k] else None for k, unit in enumerate(runner.ids))
         rows = tuple((unit, np.array(rows)) for unit, rows in self.rows.items())
-        unit = runner.units[self.watched]
+        unit = runner.ids[self.watched]
         shape = None if unit is None else shape_of(runner, self.watched)
         self.pipe.send(Frame(units, self.watched, unit, rows, shape, self.done, self.paused))
         self.rows, self.shown_at = {}, time.monotonic()

@@ -66,9 +66,9 @@ class Evaluate:
         from probe_agents.evaluation.statistics import BAR
         from probe_agents.policies.catalogue import is_schedule_file
 
-        folder = Path(self.policies[0]) if len(self.policies) == 1 else Path()
-        named = folder.is_dir() and len(folder.parts) > 1 and not folder.suffix
-        if folder.parts and (named or is_evaluation(folder)):
+        folder = Path(self.policies[0] if len(self.policies) == 1 else "policies")
+        named = folder.is_dir() and len(folder.parts) != 1 and not folder.suffix
+        if len(self.policies) == 1 and (named or is_evaluation(folder)):
             print_line(f"written: {report_again(folder, self.against)}")
             return
         arguments: dict[str, Any] = vars(self) | {"fidelity": parse_fidelity(self.fidelity)}

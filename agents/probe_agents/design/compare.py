@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final, Self
@@ -11,15 +10,16 @@ import pandas as pd
 from pydantic import FiniteFloat, ValidationError, model_validator
 from tqdm import tqdm
 
-from probe_agents.design.trials import DesignTrials, claim, tube_column
+from probe_agents.design.trials import DesignTrials, tube_column
 from probe_agents.evaluation.kpis import CORE, CORE_FAILURES, OF_DESIGNS, kpis_of
 from probe_agents.evaluation.statistics import Interval, failure_text, failures, mean_interval, short
 from probe_agents.policies.cases import TABLE_2
 from probe_agents.policies.catalogue import domains_of, name_and_spec
 from probe_agents.policies.policy import check_domains
 from probe_agents.records.atomic import write_atomically
-from probe_agents.records.manifest import commit, write_manifest
-from probe_agents.records.models import Journal, Key, Stored, require
+from probe_agents.records.manifest import commit
+from probe_agents.records.models import Key, Stored, require
+from probe_agents.records.result_folder import Journal, ResultFolder, check_hashes
 from probe_agents.records.tables import Columns, read_csv
 from probe_agents.terminal.tables import print_table
 from probe_agents.terminal.work import Work, announce
@@ -73,11 +73,20 @@ def compare(designs: Mapping[str, Design], trials: DesignTrials, output: Path) -
                     reason = explain(error) if isinstance(error, ValidationError) else error
                     raise ValueError(f"design {name!r} in {trials.plant_label.name}: {reason}") from error
     journal = Journal(output / "designs.jsonl", Trial)
-    claim(output, trials.plant_label)
-    units = [(name, k) for name in designs for k in range(len(trials.contexts))]
-    keys = {u: trials.key(designs[u[0]], trials.contexts[u[1]], u[1]) for u in units}
+    with trials.folder(output).open(journal.path.name) as folder:
+        return _compared(designs, trials, folder, journal)
+
+
+def _compared(
+    designs: Mapping[str, Design], trials: DesignTrials, folder: ResultFolder, journal: Journal[Trial]
+) -> pd.DataFrame:
+    """Run missing trials and write the tables, in a locked folder."""
+    output = folder.path
+    named_trials = [(name, k) for name in designs for k in range(len(trials.contexts))]
+    keys = {u: trials.key(designs[u[0]], trials.contexts[u[1]], u[1]) for u in named_trials}
     planned, done = set(keys.values()), journal.read()
-    missing = list({keys[unit]: unit for unit in units if keys[unit] not in done}.values())  # equal designs run once
+    new = {keys[trial]: trial for trial in named_trials if keys[trial] not in done}
+    missing = list(new.values())  # equal designs run once
     announce(Work("trial", len(planned), lambda: len(planned & journal.read().keys()), output))
     if missing:
         with journal.appending() as append, tqdm(total=len(missing), desc="designs", unit="trial") as bar:
@@ -85,21 +94,20 @@ def compare(designs: Mapping[str, Design], trials: DesignTrials, output: Path) -
                 part = missing[begin : begin + BATCH]
                 pairs = [(designs[name], trials.contexts[k]) for name, k in part]
                 rows = zip(part, trials.run(pairs, [k for _, k in part]), strict=True)
-                lines = [{"key": keys[unit], "commit": commit(), "kpis": kpis} for unit, kpis in rows]
-                append("".join(f"{json.dumps(line)}\n" for line in lines))
+                append(*({"key": keys[trial], "commit": commit(), "kpis": kpis} for trial, kpis in rows))
                 bar.update(len(part))
         done = journal.read()
     column = tube_column(trials.plant_label)
     table = pd.DataFrame(
         {"design": name, "context": k} | column | trials.contexts[k].model_dump() | done[keys[name, k]]["kpis"]
         | {"commit": done[keys[name, k]].get("commit", "unknown")}
-        for name, k in units
+        for name, k in named_trials
     )  # fmt: skip
     write_atomically(output / STORED, table.to_csv(index=False, float_format="%.6g"))
     write_atomically(output / "summary.csv", summarise(table).to_csv(index=False, float_format="%.6g"))
     built = {name: design.built.model_dump() for name, design in designs.items()}
-    setting: dict[str, Any] = trials.setting | column
-    write_manifest(output, (STORED, "summary.csv"), commits=table["commit"], designs=built, **setting)
+    settings: dict[str, Any] = trials.setting | column
+    folder.write_manifest(STORED, "summary.csv", commits=table["commit"], designs=built, **settings)
     return table
 
 
@@ -142,8 +150,9 @@ def read_comparison(folder: Path) -> pd.DataFrame:
 
     Raises:
         FileNotFoundError: no comparison in the folder.
-        FileError: the file is damaged.
+        FileError: the file is damaged or changed.
     """
+    check_hashes(folder, STORED)
     return read_csv(folder / STORED, COLUMNS, NEWER)
 
 

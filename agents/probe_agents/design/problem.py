@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from typing import Final, Literal
 
 import numpy as np
@@ -14,6 +15,7 @@ from probe_agents.design.trials import DesignTrials
 from probe_agents.evaluation.workers import HERE, Workers
 from probe_agents.policies.cases import TABLE_2, EvaluationCase
 from probe_agents.policies.on_map import least_air
+from probe_agents.records.result_folder import ResultFolder
 from probe_env import Context, Design
 from probe_env.design import RANGES, ranges_in
 from probe_env.envs.trials import check_candidate, check_measure, segment_of
@@ -80,15 +82,15 @@ class DesignProblem(DesignTrials):
         clipped = dict.fromkeys((min(max(u, slow), fast), min(max(q, least), most)) for u, q in pairs)
         return [{"feed_speed": u, "air_supply_rate": q} for u, q in clipped]
 
-    def identity(self) -> str:
-        """Short hash of all settings of the objectives, so that trials of different problems are not mixed.
+    def search_folder(self, path: Path, seed: int) -> ResultFolder:
+        """The folder of a search for this problem.
 
         Raises:
             ValueError: the feed is not a policy.
         """
-        feed = None if self.feed == "best-constant" else self.policy().describe()
+        feed = self.feed if self.feed == "best-constant" else self.policy().describe()
         tubes = [context.model_dump() for context in self.contexts]
-        return self._hashed([self.axes, tubes, feed])[:12]
+        return self.folder(path, feed=feed, seed=seed, variables=self.axes, tubes=tubes)
 
     def value(self, point: dict[str, float], workers: Workers = HERE) -> Values:
         """The objectives: means over the tubes, and the smallest drive margin.

@@ -23,13 +23,13 @@ from scipy.stats import rankdata
 from tqdm import tqdm
 
 from probe_agents.design.problem import DIRECTIONS, OBJECTIVES, DesignProblem, Values
-from probe_agents.design.trials import claim, tube_column
+from probe_agents.design.trials import tube_column
 from probe_agents.evaluation.statistics import bootstrap_ends
 from probe_agents.evaluation.workers import HERE, Workers
 from probe_agents.records.atomic import write_atomically
 from probe_agents.records.drawing import BLUE, GRID, RED, save
-from probe_agents.records.locks import run_lock
-from probe_agents.records.manifest import commit, write_manifest
+from probe_agents.records.manifest import commit
+from probe_agents.records.result_folder import ResultFolder
 from probe_agents.records.searches import JOURNAL, open_study
 from probe_agents.records.store import COMMIT
 from probe_agents.terminal.tables import print_line, print_table
@@ -151,11 +151,14 @@ def run_design_search(
     """
     within("seed", seed, 0, 2**63, "")
     within("trials", trials, 2, 1_000_000, "")
-    name = f"{problem.feed} {problem.identity()} seed {seed}"
     value = partial(problem.value, workers=workers)
-    with run_lock(output):
-        claim(output, problem.plant_label)
-        table = trials_table(search(problem.axes, value, trials, output, name, seed=seed, starts=problem.starts()))
+    with problem.search_folder(output, seed).open(JOURNAL) as folder:
+        study = search(problem.axes, value, trials, output, seed=seed, starts=problem.starts())
+        return _write_tables(problem, trials_table(study), folder, seed)
+
+
+def _write_tables(problem: DesignProblem, table: pd.DataFrame, folder: ResultFolder, seed: int) -> pd.DataFrame:
+    output = folder.path
     front = table[table["on_front"]].sort_values("mean_square_ratio")
     influence, column = sensitivity(table, problem.axes), tube_column(problem.plant_label)
     for name, frame in (("trials", table), ("front", front), ("sensitivity", influence)):
@@ -166,7 +169,7 @@ def run_design_search(
     _draw_front(table, references, output / "front.png", problem.plant_label.title)
     setting: dict[str, Any] = {"contexts": len(problem.contexts), "trials": len(table), "seed": seed} | column
     files = ("trials.csv", "front.csv", "sensitivity.csv", "found.toml")
-    write_manifest(output, files, seeds=(seed,), commits=table[COMMIT], **problem.setting, **setting)
+    folder.write_manifest(*files, seeds=(seed,), commits=table[COMMIT], **problem.setting, **setting)
     _print(front, influence, problem)
     print_line(f"written: {output}/ (front.csv, trials.csv, sensitivity.csv, front.png, found.toml)")
     return table

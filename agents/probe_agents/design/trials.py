@@ -6,9 +6,8 @@ import hashlib
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
@@ -16,23 +15,12 @@ from probe_agents.policies.cases import TABLE_2, PlantLabel
 from probe_agents.policies.catalogue import make_policy
 from probe_agents.policies.fixed import Scheduled
 from probe_agents.policies.policy import Policy
-from probe_agents.records.manifest import commit, write_json
-from probe_agents.records.models import Stored, read_json
-from probe_agents.records.searches import JOURNAL
+from probe_agents.records.result_folder import ResultFolder
 from probe_env import Context, Design, Fidelity
 from probe_env.envs.task import TaskConfig
 from probe_env.envs.trials import Candidate, score_designs, try_insertions, try_sections
 from probe_env.envs.vibration_map import VibrationMap
 from probe_env.schedule import Schedule
-
-TUBE_FILE: Final = "tube.json"
-
-
-class Tube(Stored):
-    """``tube.json``: the plant of the trials in a folder."""
-
-    name: str
-    digest: str
 
 
 @dataclass(frozen=True)
@@ -83,13 +71,14 @@ class DesignTrials:
     def key(self, design: Design, context: Context, index: int = 0) -> str:
         """Identity of one result; the index of the context is the seed of its initial state."""
         parts = [index, design.built.model_dump(), context.model_dump(), self.policy().describe()]
-        return self._hashed(parts)[:16]
+        return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:16]
 
-    def _hashed(self, parts: Sequence[Any]) -> str:
-        """Hash of ``parts`` and the settings of all trials."""
-        common = [self.full, self.fidelity.model_dump(), self.config.model_dump(mode="json")]
-        text = json.dumps([*parts, *common, version("probe-env"), commit()], sort_keys=True)
-        return hashlib.sha256(text.encode()).hexdigest()
+    def folder(self, path: Path, **settings: Any) -> ResultFolder:
+        """The folder of trials with these settings of all trials and further ones."""
+        name, digest, _ = self.plant_label
+        common = {"tube": {"name": name, "digest": digest}, "full": self.full, "fidelity": self.fidelity.model_dump()}
+        identity = common | settings | {"task": self.config.model_dump(mode="json")}
+        return ResultFolder(path, identity, "these trials were simulated")
 
     @property
     def setting(self) -> dict[str, Any]:
@@ -116,23 +105,6 @@ class DesignTrials:
             {"reward": float(rewards[k])} | {name: float(values[k]) for name, values in kpis.items()}
             for k in range(len(pairs))
         ]
-
-
-def claim(output: Path, label: PlantLabel) -> None:
-    """Store the plant of the trials in a folder; a folder of trials without ``tube.json`` is of table 2.
-
-    Raises:
-        ValueError: the folder has trials of another plant; nothing is changed.
-    """
-    path = output / TUBE_FILE
-    before = read_json(path, Tube) if path.exists() else Tube(name=TABLE_2.name, digest=TABLE_2.digest)
-    in_use = path.exists() or any((output / name).exists() for name in ("designs.jsonl", JOURNAL, "trials.csv"))
-    if in_use and before.digest != label.digest:
-        other = "" if before.name != label.name else " before its file changed"
-        problem = f"holds trials in the tubes of {before.name}{other}, not of {label.name}: choose another folder"
-        raise ValueError(f"output = {str(output)!r} {problem}")
-    if label != TABLE_2:
-        write_json(path, {"name": label.name, "digest": label.digest})
 
 
 def tube_column(label: PlantLabel) -> dict[str, str]:

@@ -29,7 +29,8 @@ from probe_agents.evaluation.kpis import (
     PROFILE_COLUMNS_NEWER,
 )
 from probe_agents.evaluation.statistics import grouped
-from probe_agents.records.models import Journal, Key, Record, Stored, read_json, require
+from probe_agents.records.models import Key, Record, Stored, read_json, require
+from probe_agents.records.result_folder import SETTING, Journal, check_hashes
 from probe_agents.records.tables import Columns, Kind, check_table, read_csv, read_parquet
 from probe_agents.terminal.names import name_problem
 from probe_env import Context
@@ -53,7 +54,7 @@ PROFILE: Final[Columns] = {**dict.fromkeys(PROFILE_COLUMNS, "maybe"), **CASE}
 """Columns of ``profile.parquet``, one row per metre; NaN where a probe diverged."""
 PROFILE_NEWER: Final[Columns] = dict.fromkeys((*PROFILE_COLUMNS_NEWER, *PROFILE_COLUMNS_INSTRUMENT), "maybe")
 """Columns that profiles of older versions, or without an instrument, lack."""
-Unit = tuple[str, int, int]
+EpisodeId = tuple[str, int, int]
 """Policy name, context number and seed of an episode."""
 Planned = tuple[str, str, int, int]
 """Key, policy name, context number and seed of an episode."""
@@ -63,7 +64,7 @@ class Episode(Stored):
     """A line of ``episodes.jsonl``. Profiles hold NaN for the period in which a probe diverged."""
 
     key: Key
-    unit: Unit
+    episode: EpisodeId
     kpis: dict[str, FiniteFloat]
     profile: dict[str, list[float]]
     probe: dict[str, FiniteFloat] | None = None
@@ -83,9 +84,7 @@ class Setting(Stored):
 
     task: TaskConfig
     fidelity: dict[str, Any]
-    probes: Probes = "scene"
-    version: str = ""
-    commit: str = ""
+    probes: Probes
 
 
 class Manifest(Record):
@@ -115,7 +114,7 @@ class ReportSettings(Stored):
     """``report.json``: the reference policy, the policies that are files of the user, and the bundle of tubes."""
 
     against: str
-    own: tuple[str, ...] = ()
+    user_policies: tuple[str, ...] = ()
     bundle: Bundle | None = None
 
     def to_json(self) -> dict[str, Any]:
@@ -194,7 +193,7 @@ class Evaluation:
 
 def is_evaluation(folder: Path) -> bool:
     """Whether a path is the folder of an evaluation, finished or not."""
-    return folder.is_dir() and any((folder / name).exists() for name in ("setting.json", UNFINISHED))
+    return folder.is_dir() and any((folder / name).exists() for name in (SETTING, UNFINISHED))
 
 
 def read_evaluation(folder: Path) -> Evaluation:
@@ -206,31 +205,32 @@ def read_evaluation(folder: Path) -> Evaluation:
     """
     if (folder / UNFINISHED).exists():
         return _interrupted(folder)
-    paths = [folder / name for name in ("episodes.parquet", "profile.parquet", "manifest.json")]
+    paths = [folder / name for name in ("episodes.parquet", "profile.parquet", "manifest.json", SETTING)]
     if missing := [path for path in paths if not path.exists()]:
         raise FileNotFoundError(errno.ENOENT, "no evaluation is stored there", str(missing[0]))
+    check_hashes(folder, *(path.name for path in paths))
     table, profile = grouped(read_episodes(paths[0])), grouped(read_parquet(paths[1], PROFILE, PROFILE_NEWER))
     if not set(profile["policy"]) <= set(table["policy"]):
         raise FileError(paths[1], "has policies that are not in episodes.parquet: evaluate again into this folder")
     report = _report_settings(folder, table, strict=True)
-    setting, record = read_json(folder / "setting.json", Setting), read_json(paths[2], Manifest)
-    return Evaluation(table, profile, setting, record, report.against, report.own, report.bundle, None)
+    setting, record = read_json(paths[3], Setting), read_json(paths[2], Manifest)
+    return Evaluation(table, profile, setting, record, report.against, report.user_policies, report.bundle, None)
 
 
 def _report_settings(folder: Path, table: pd.DataFrame, strict: bool) -> ReportSettings:
     path, policies = folder / "report.json", list(dict.fromkeys(table["policy"]))
     settings = read_json(path, ReportSettings) if path.exists() else ReportSettings(against="")
-    own = tuple(name for name in settings.own if name in policies)
+    users = tuple(name for name in settings.user_policies if name in policies)
     against = settings.against
     if against not in policies:
         if strict and against:
             raise FileError(path, f"against = {against!r} is not one of the policies: {', '.join(policies)}")
         against = str(policies[0])
-    return ReportSettings(against=against, own=own, bundle=settings.bundle)
+    return ReportSettings(against=against, user_policies=users, bundle=settings.bundle)
 
 
 def _interrupted(folder: Path) -> Evaluation:
-    plan, setting = read_json(folder / UNFINISHED, Unfinished), read_json(folder / "setting.json", Setting)
+    plan, setting = read_json(folder / UNFINISHED, Unfinished), read_json(folder / SETTING, Setting)
     journal = episodes_of(folder)
     done = journal.read()
     stored = [episode for episode in plan.episodes if episode[0] in done]
@@ -246,7 +246,7 @@ def _interrupted(folder: Path) -> Evaluation:
     gaps = tuple((name, f"{absent[name]} of {total[name]} insertions") for name in total if absent[name])
     missing = Missing(len(stored), len(plan.episodes), gaps)
     report = _report_settings(folder, table, strict=False)
-    return Evaluation(table, profile, setting, plan, report.against, report.own, report.bundle, missing)
+    return Evaluation(table, profile, setting, plan, report.against, report.user_policies, report.bundle, missing)
 
 
 def comparable(stored: Sequence[Planned]) -> list[Planned]:

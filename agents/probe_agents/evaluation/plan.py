@@ -11,7 +11,6 @@ import json
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final
 
@@ -23,12 +22,12 @@ from tqdm import tqdm
 from probe_agents.evaluation.folder import (
     FILES,
     UNFINISHED,
+    Planned,
     ReportSettings,
-    Setting,
     collect_tables,
     episodes_of,
 )
-from probe_agents.evaluation.folder import Unit as Unit
+from probe_agents.evaluation.folder import EpisodeId as EpisodeId
 from probe_agents.evaluation.kpis import PROFILE_COLUMNS, PROFILE_COLUMNS_INSTRUMENT, PROFILE_COLUMNS_NEWER
 from probe_agents.evaluation.profiles import file_name
 from probe_agents.evaluation.repeat import (
@@ -43,8 +42,8 @@ from probe_agents.evaluation.workers import HERE, Workers
 from probe_agents.policies.planner import ModelPredictivePolicy
 from probe_agents.policies.policy import Policy as Policy
 from probe_agents.records.atomic import write_atomically
-from probe_agents.records.manifest import commit, origin, write_json, write_manifest
-from probe_agents.records.models import read_json
+from probe_agents.records.manifest import commit, origin, write_json
+from probe_agents.records.result_folder import ResultFolder
 from probe_agents.terminal.work import Work, announce
 from probe_env import Context, Fidelity
 from probe_env.arrays import BoolArray
@@ -57,7 +56,6 @@ from probe_env.envs.task import VISIBLE_FIELDS, TaskConfig, describe
 from probe_env.envs.trials import PolicyBatch
 from probe_env.envs.vibration_map import VibrationMap, stored_map
 from probe_env.fidelity import PRESETS, measured_errors
-from probe_env.files import FileError
 from probe_env.inspection.metrics import with_pod_columns
 from probe_env.machine import available_cores
 
@@ -95,18 +93,20 @@ class Plan:
     vibration: VibrationMap | None = None
     bundle: Bundle | None = None
 
-    def setting(self) -> dict[str, Any]:
-        """Common settings of all episodes of a folder, JSON-ready."""
-        code = {"version": version("probe-env"), "commit": commit()}
-        return {**describe(self.config), "fidelity": self.fidelity.model_dump(), "probes": self.probes, **code}
+    def folder(self, path: Path) -> ResultFolder:
+        """The folder of the episodes; what is observed changes none, so it may differ."""
+        surrogate = None if self.fidelity.simulates else (self.vibration or stored_map()).digest
+        identity = describe(self.config) | {"fidelity": self.fidelity.model_dump(), "probes": self.probes}
+        free = ("observations", *(f"task.{name}" for name in VISIBLE_FIELDS))
+        return ResultFolder(path, identity | {"surrogate_map": surrogate}, free=free)
 
-    def units(self) -> list[Unit]:
+    def episode_ids(self) -> list[EpisodeId]:
         """Policy name, context number and seed of every episode."""
         return [(name, k, seed) for name in self.policies for seed in self.seeds for k in range(len(self.contexts))]
 
-    def planned(self) -> list[tuple[str, str, int, int]]:
+    def planned(self) -> list[Planned]:
         """Key, policy name, context number and seed of every episode."""
-        return [(self.key(unit), *unit) for unit in self.units()]
+        return [(self.key(episode), *episode) for episode in self.episode_ids()]
 
     def described(self) -> dict[str, Any]:
         """Policies, contexts and episodes, JSON-ready."""
@@ -114,15 +114,16 @@ class Plan:
         contexts = [context.model_dump() for context in self.contexts]
         return {"policies": policies, "contexts": contexts, "episodes": self.planned()}
 
-    def key(self, unit: Unit) -> str:
+    def key(self, episode: EpisodeId) -> str:
         """Key of an episode: hash of the policy's description, the context, its number and the seed."""
-        name, k, seed = unit
+        name, k, seed = episode
         parts = [self.policies[name].describe(), self.contexts[k].model_dump(), k, seed]
         return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:16]
 
 
-Source = Callable[[Plan, "deque[Unit]"], Iterator[str]]
-"""Runs episodes of a plan and yields a line of the journal for each."""
+Records = Iterator[dict[str, Any]]
+Source = Callable[[Plan, "deque[EpisodeId]"], Records]
+"""Runs episodes of a plan and yields a record of the journal for each."""
 
 
 def run_plan(
@@ -153,47 +154,52 @@ def run_plan(
         report: settings of the report to store.
 
     Raises:
-        ValueError: the folder holds episodes of other settings, version or commit; nothing is changed.
+        ValueError: the folder holds episodes of other settings or of other code; nothing is changed.
     """
     if output is None:
-        lines = _lines(plan, deque(plan.units()), batch, threads, workers)
-        done = {record["key"]: record for record in map(json.loads, lines)}
+        done = {record["key"]: record for record in _records(plan, deque(plan.episode_ids()), batch, threads, workers)}
         return collect_tables(plan.planned(), plan.contexts, done)[0]
-    journal, done = episodes_of(output), stored_episodes(plan, output)
-    if report is not None:
-        write_json(output / "report.json", report.to_json())
-    units = {plan.key(unit): unit for unit in plan.units()}
-    missing = deque(unit for key, unit in units.items() if key not in done)
-    cores = min(workers.jobs if not workers.here else threads or available_cores(), available_cores())
-    announce(
-        Work(
-            "episode", len(units), lambda: len(units.keys() & journal.read().keys()), output,
-            seconds=sum(core_seconds(plan, unit[0]) for unit in missing) / max(len(missing), 1) / cores,
-        ),
-        quiet=not progress,
-    )  # fmt: skip
-    write_json(output / UNFINISHED, origin(command) | plan.described())
-    if missing:
-        write_json(output / "setting.json", plan.setting())
-        with (
-            journal.appending() as append,
-            tqdm(total=len(missing), desc="evaluate", unit="episode", disable=not progress) as bar,
-        ):
-            for line in source(plan, missing) if source else _lines(plan, missing, batch, threads, workers):
-                append(line)
-                bar.update()
+    journal = episodes_of(output)
+    with plan.folder(output).open(journal.path.name) as folder:
         done = journal.read()
+        if report is not None:
+            write_json(output / "report.json", report.to_json())
+        episodes = {plan.key(episode): episode for episode in plan.episode_ids()}
+        missing = deque(episode for key, episode in episodes.items() if key not in done)
+        cores = min(workers.jobs if not workers.here else threads or available_cores(), available_cores())
+        announce(
+            Work(
+                "episode", len(episodes), lambda: len(episodes.keys() & journal.read().keys()), output,
+                seconds=sum(core_seconds(plan, name) for name, _, _ in missing) / max(len(missing), 1) / cores,
+            ),
+            quiet=not progress,
+        )  # fmt: skip
+        write_json(output / UNFINISHED, origin(command) | plan.described())
+        if missing:
+            with (
+                journal.appending() as append,
+                tqdm(total=len(missing), desc="evaluate", unit="episode", disable=not progress) as bar,
+            ):
+                for record in source(plan, missing) if source else _records(plan, missing, batch, threads, workers):
+                    append(record)
+                    bar.update()
+            done = journal.read()
+        return _write_tables(plan, folder, done, command)
+
+
+def _write_tables(
+    plan: Plan, folder: ResultFolder, done: Mapping[str, dict[str, Any]], command: str | None
+) -> pd.DataFrame:
+    """Write the tables and the manifest of finished episodes; returns the table of episodes."""
+    output = folder.path
     table, profile = collect_tables(plan.planned(), plan.contexts, done)
     write_atomically(output / "episodes.csv", table.to_csv(index=False, float_format="%.8g"))
     for name, frame in (("episodes", table), ("profile", profile)):
         buffer = io.BytesIO()
         frame.to_parquet(buffer, index=False)
         write_atomically(output / f"{name}.parquet", buffer.getvalue())
-    files, policies = (
-        (*FILES, "setting.json", *_write_repeat(plan, table, profile, output)),
-        plan.described()["policies"],
-    )
-    write_manifest(output, files, seeds=plan.seeds, command=command, commits=table["commit"], policies=policies)
+    files, policies = (*FILES, *_write_repeat(plan, table, profile, output)), plan.described()["policies"]
+    folder.write_manifest(*files, seeds=plan.seeds, command=command, commits=table["commit"], policies=policies)
     (output / UNFINISHED).unlink(missing_ok=True)
     return table
 
@@ -232,45 +238,17 @@ def core_seconds(plan: Plan, policy: str) -> float:
     return FULL_LANES * (1.0 + planned) * float(np.median(costs or [0.0])) * pitches * motion
 
 
-def stored_episodes(plan: Plan, output: Path) -> dict[str, dict[str, Any]]:
-    """Records of the stored episodes of a folder, by key.
-
-    Raises:
-        ValueError: the task, fidelity, version or commit differs from the plan's, or a file is damaged.
-    """
-    path, done = output / "setting.json", episodes_of(output).read()
-    if path.exists():
-        before = _shared(read_json(path, Setting))
-        now = _shared(Setting.model_validate_json(json.dumps(plan.setting())))
-        different = [name for name in now if before[name] != now[name]]
-        code = [f"{name} {before[name] or 'unknown'}, now {now[name]}" for name in ("version", "commit")
-                if name in different]  # fmt: skip
-        if different:
-            raise ValueError(
-                f"{output} has episodes with other settings ({', '.join(different)} differ"
-                f"{''.join(f'; {text}' for text in code)}): choose another folder"
-            )
-    elif done:
-        raise FileError(path, "missing next to episodes.jsonl, so their task is not known: choose another folder")
-    return done
-
-
-def _shared(setting: Setting) -> dict[str, Any]:
-    """Settings that must agree between episodes; the visible observations may differ."""
-    shared = ("fidelity", "probes", "version", "commit")
-    return setting.task.model_dump(exclude=set(VISIBLE_FIELDS)) | {name: getattr(setting, name) for name in shared}
-
-
-def _lines(plan: Plan, missing: deque[Unit], batch: int, threads: int | None, workers: Workers) -> Iterator[str]:
+def _records(plan: Plan, missing: deque[EpisodeId], batch: int, threads: int | None, workers: Workers) -> Records:
+    """Run the missing episodes; yields the record of each when it ends, with workers when its batch ends."""
     if workers.here:
         runner = RolloutRunner(plan, missing, batch, threads)
         while not runner.over:
             yield from runner.step()
         return
-    size, units = max(min(batch, len(missing) // (2 * workers.jobs)), 1), list(missing)
-    portions = [units[begin : begin + size] for begin in range(0, len(units), size)]
-    for _, lines in workers.map(lambda portion: list(_lines(plan, deque(portion), size, 1, HERE)), portions):
-        yield from lines
+    size, episodes = max(min(batch, len(missing) // (2 * workers.jobs)), 1), list(missing)
+    portions = [episodes[begin : begin + size] for begin in range(0, len(episodes), size)]
+    for _, records in workers.map(lambda portion: list(_records(plan, deque(portion), size, 1, HERE)), portions):
+        yield from records
 
 
 def per_metre(profile: list[tuple[float, ...]]) -> dict[str, npt.NDArray[np.float64]]:
@@ -315,13 +293,13 @@ class RolloutRunner:
 
     Args:
         plan: the evaluation.
-        missing: units to run; started units are removed.
+        missing: episodes to run; started ones are removed.
         batch: maximum number of lanes.
         threads: maximum number of threads; None: all cores.
 
     Attributes:
         episodes: the running episodes.
-        units: unit of each lane.
+        ids: episode of each lane.
         profile: for each lane, one row per control period of the insertion so far, columns ``COLUMNS``.
         axial: for each row of ``profile``, rms of the sensor's axial velocity [m/s]; NaN: not simulated.
         decided: whether ``actions`` are those of the next period.
@@ -330,7 +308,7 @@ class RolloutRunner:
         active: (N,) lanes that ``actions`` are for.
     """
 
-    def __init__(self, plan: Plan, missing: deque[Unit], batch: int, threads: int | None) -> None:
+    def __init__(self, plan: Plan, missing: deque[EpisodeId], batch: int, threads: int | None) -> None:
         self.plan, self.missing = plan, missing
         count = min(batch, len(missing))
         self.episodes = make_episodes(
@@ -342,7 +320,7 @@ class RolloutRunner:
             probes=plan.probes,
             surrogate_map=plan.vibration,
         )
-        self.units: list[Unit | None] = [None] * count
+        self.ids: list[EpisodeId | None] = [None] * count
         self.profile: list[list[tuple[float, ...]]] = [[] for _ in range(count)]
         self.axial: list[list[float]] = [[] for _ in range(count)]
         self.decided = False
@@ -358,8 +336,8 @@ class RolloutRunner:
         """Whether all episodes have ended."""
         return not self.missing and not self.episodes.running.any()
 
-    def step(self) -> Iterator[str]:
-        """Run a control period; yields the journal lines of the episodes that end."""
+    def step(self) -> Records:
+        """Run a control period; yields the records of the episodes that end."""
         self.decide()
         yield from self.advance()
 
@@ -368,9 +346,9 @@ class RolloutRunner:
         idle = np.flatnonzero(~self.episodes.running).tolist()
         fresh = {k: self.missing.popleft() for k in idle[: len(self.missing)]}
         if fresh:
-            for k, unit in fresh.items():
-                self.units[k], self.profile[k], self.axial[k] = unit, [], []
-                self._players.begin(k, self.plan.policies[unit[0]])
+            for k, episode in fresh.items():
+                self.ids[k], self.profile[k], self.axial[k] = episode, [], []
+                self._players.begin(k, self.plan.policies[episode[0]])
             options = {k: {"context": self.plan.contexts[context]} for k, (_, context, _) in fresh.items()}
             rngs = {k: np.random.default_rng([seed, context]) for k, (_, context, seed) in fresh.items()}
             self._observation, started = self.episodes.reset(list(fresh), rngs, options)
@@ -380,8 +358,8 @@ class RolloutRunner:
         self.actions = self._players.act(self._observation, self.active, self.episodes)
         self.decided = True
 
-    def advance(self) -> Iterator[str]:
-        """Apply ``actions`` for a period; yields the journal lines of the episodes that end."""
+    def advance(self) -> Records:
+        """Apply ``actions`` for a period; yields the records of the episodes that end."""
         direction = self.episodes.direction.copy()
         step = self.last = self.episodes.step(self.actions, self.active)
         self.decided = False
@@ -393,23 +371,23 @@ class RolloutRunner:
                 self.axial[k].append(float(window.statistics["axial_velocity_rms_m_per_s"][k]) if window else np.nan)
                 self.profile[k].append(tuple(float(info.get(name, np.nan)) for name in COLUMNS))
             if "episode_kpis" in info:
-                unit, metres = self.unit(k), per_metre(self.profile[k])
+                episode, metres = self.episode_id(k), per_metre(self.profile[k])
                 kpis = with_pod_columns(info["episode_kpis"])
                 if is_judged(self.plan.config):
                     metres |= instrument_columns(self.profile[k], self.axial[k], self.plan.config)
                     stretches = stretches_of(metres, self.plan.config, kpis["complete"] > 0.0, kpis["lost_drive"] > 0.0)
                     kpis |= instrument_kpis(stretches, self.plan.config)
                 profile = {name: [float(f"{v:.5g}") for v in values] for name, values in metres.items()}
-                record = {"key": self.plan.key(unit), "unit": unit, "commit": commit(), "kpis": kpis}
+                record = {"key": self.plan.key(episode), "episode": episode, "commit": commit(), "kpis": kpis}
                 probe = {"probe": self._probes[k]} if k in self._probes else {}
-                yield json.dumps(record | {"profile": profile} | probe) + "\n"
+                yield record | {"profile": profile} | probe
 
     def observed(self, k: int) -> npt.NDArray[np.float32]:
         """(1, d) observation for the next action of a lane."""
         return self._observation[k : k + 1]
 
-    def unit(self, k: int) -> Unit:
-        """The unit of a lane."""
-        unit = self.units[k]
-        assert unit is not None
-        return unit
+    def episode_id(self, k: int) -> EpisodeId:
+        """The episode of a lane."""
+        episode = self.ids[k]
+        assert episode is not None
+        return episode

@@ -129,7 +129,7 @@ def plan_of(
 
 
 def evaluate_plan(
-    plan: Plan, output: Path, against: str | None = None, workers: Workers = HERE, own: Sequence[str] = ()
+    plan: Plan, output: Path, against: str | None = None, workers: Workers = HERE, users: Sequence[str] = ()
 ) -> pd.DataFrame:
     """Run a plan in a folder, write tables, summary.csv, bundle.csv and report.html, and print the means.
 
@@ -138,12 +138,12 @@ def evaluate_plan(
         output: the folder.
         against: reference policy of the comparison; default: the first.
         workers: workers that run the episodes.
-        own: policies of the user, for the headline of the report; default: ``against``.
+        users: policies of the user, for the headline of the report; default: ``against``.
 
     Raises:
         ValueError: an argument is not valid; nothing was run.
     """
-    report = report_settings(plan, against, own)
+    report = report_settings(plan, against, users)
     table = run_plan(plan, output, workers=workers, report=report)
     write_report(output)
     if plan.config.returns:
@@ -160,7 +160,7 @@ def evaluate_plan(
     return table
 
 
-def report_settings(plan: Plan, against: str | None, own: Sequence[str]) -> ReportSettings:
+def report_settings(plan: Plan, against: str | None, users: Sequence[str]) -> ReportSettings:
     """Reference policy and the user's policies for the report, by the names of methods.
 
     Raises:
@@ -170,8 +170,8 @@ def report_settings(plan: Plan, against: str | None, own: Sequence[str]) -> Repo
     reference = method_and_seed(against)[0] if against and against in plan.policies else against or methods[0]
     if reference not in methods:
         raise ValueError(f"against = {against!r} is not one of the policies: {', '.join(plan.policies)}")
-    users = tuple(dict.fromkeys(method_and_seed(name)[0] for name in own))
-    return ReportSettings(against=reference, own=users, bundle=plan.bundle)
+    names = tuple(dict.fromkeys(method_and_seed(name)[0] for name in users))
+    return ReportSettings(against=reference, user_policies=names, bundle=plan.bundle)
 
 
 def report_again(folder: Path, against: str | None = None) -> Path:
@@ -188,7 +188,7 @@ def report_again(folder: Path, against: str | None = None) -> Path:
         policies = list(dict.fromkeys(done.table["policy"]))
         if against not in policies:
             raise ValueError(f"against = {against!r} is not one of the policies: {', '.join(policies)}")
-        report = ReportSettings(against=against, own=done.user_policies, bundle=done.bundle)
+        report = ReportSettings(against=against, user_policies=done.user_policies, bundle=done.bundle)
         write_json(folder / "report.json", report.to_json())
     return write_report(folder)
 

@@ -95,7 +95,7 @@ class Confirmation:
         print(f"simulated in {len(case.contexts)} other samples at {self.fidelity}:")
         plan = plan_of((*named, *self.schedules, *BASELINES), case, 1, self.fidelity)
         names = [name_and_spec(spec)[0] for spec in self.schedules] or [NAME]  # for the report's first line
-        return evaluate_plan(plan, self.folder, against=NAME, workers=workers, own=names)
+        return evaluate_plan(plan, self.folder, against=NAME, workers=workers, users=names)
 
 
 def recommend(

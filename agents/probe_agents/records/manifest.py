@@ -20,15 +20,10 @@ from probe_agents.records.atomic import write_atomically
 from probe_env.machine import available_cores
 
 CHECKOUT: Final = Path(__file__).parents[3]
-CODE: Final = ("probe_env", "agents", "configs", "pyproject.toml", "constraints.txt")
-"""Files that a result depends on: only changes of these make a commit unclean."""
-DATA: Final = (
-    "probe_env/data",
-    "agents/probe_agents/policies/data",
-    "agents/probe_agents/plant/data",
-    "configs/tubes/*-map.*",
-)
-"""Shipped results, excluded from ``CODE``."""
+CODE: Final = ("probe_env", "agents", "pyproject.toml", "constraints.txt")
+"""Files of the code: only their commits and changes count. What a result takes from ``configs`` is stored with it."""
+DATA: Final = ("probe_env/data", "agents/probe_agents/policies/data", "agents/probe_agents/plant/data")
+"""Shipped results: studies write them, which is no change of the code."""
 CHANGED: Final = "+changes"
 PACKAGES: Final = ("probe-env", "numpy", "scipy", "numba", "pydantic")
 
@@ -104,12 +99,12 @@ PASSWORD: Final = re.compile(r"(://[^:/?#@\s]*):\S*@")
 
 @lru_cache
 def commit() -> str:
-    """Commit of the checkout at the start of this process, marked if code differs; "unknown" without a checkout."""
-    head = _git("rev-parse", "--short=12", "HEAD")
-    if head is None:
+    """Last commit of the code at the start of this process, marked if files differ; "unknown" without a checkout."""
+    last = _git("log", "-1", "--format=%h", "--abbrev=12", "--", *CODE)
+    if not last:
         return "unknown"
     excluded = (f":(exclude){folder}" for folder in DATA)
-    return head + (CHANGED if _git("status", "--porcelain", "--untracked-files=all", "--", *CODE, *excluded) else "")
+    return last + (CHANGED if _git("status", "--porcelain", "--untracked-files=all", "--", *CODE, *excluded) else "")
 
 
 def _git(*arguments: str) -> str | None:

@@ -15,6 +15,7 @@ from optuna.storages.journal import JournalFileBackend
 from optuna.trial import TrialState
 
 from probe_agents.records.atomic import named
+from probe_agents.records.result_folder import is_intact, sealed
 from probe_env.files import MEBI, FileError, one_line, read_bytes
 
 JOURNAL: Final = "study.jsonl"
@@ -22,11 +23,11 @@ MAX_JOURNAL: Final = 1024 * MEBI
 
 
 class _Journal(JournalFileBackend):
-    """Optuna's journal, whose errors name the file."""
+    """Optuna's journal with a checksum a line; errors name the file."""
 
     def append_logs(self, logs: list[dict[str, Any]]) -> None:
         with named(self._file_path):
-            super().append_logs(logs)
+            super().append_logs([sealed(log, (",", ":")) for log in logs])
 
 
 def open_study(
@@ -34,7 +35,7 @@ def open_study(
 ) -> optuna.Study:
     """The study of this name, created if it does not exist; unfinished trials of a killed process are marked as failed.
 
-    The caller holds the ``run_lock`` of the folder, so a lock of Optuna's is one that a killed process has left.
+    The caller has locked the folder, so a lock of Optuna's is one that a killed process has left.
 
     Args:
         path: the journal; an incomplete last line is removed.
@@ -78,6 +79,8 @@ def _check_lines(path: Path) -> None:
     *lines, rest = read_bytes(path, MAX_JOURNAL).split(b"\n")
     if not all(b'"op_code"' in line and isinstance(json.loads(line), dict) for line in lines):
         raise ValueError("a line is not the record of a trial")
+    if damaged := [number for number, line in enumerate(lines, start=1) if not is_intact(line)]:
+        raise ValueError(f"line {damaged[0]}: its checksum does not fit: it was changed after it was written")
     if lines and not lines[0].startswith(b'{"op_code":0,'):
         raise ValueError("the first line is not the record of a study")
     if rest and not b'{"op_code":'.startswith(rest[:11]):

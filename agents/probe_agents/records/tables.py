@@ -106,20 +106,22 @@ def read_parquet(path: Path, columns: Columns, newer: Columns = _NONE) -> pd.Dat
         FileNotFoundError: no such file.
         FileError: not Parquet, too many rows, or a required column is missing or not of its kind.
     """
-    content = read_bytes(path, MAX_PARQUET)
+    stored = read_bytes(path, MAX_PARQUET)
     try:
-        file = pq.ParquetFile(io.BytesIO(content))
+        file = pq.ParquetFile(io.BytesIO(stored))
         names, rows = list(file.schema_arrow.names), file.metadata.num_rows
         columns = _present(columns, newer, names)
         _check_header(path, names, columns)
         if not 0 < rows <= MAX_ROWS:
             raise FileError(path, f"{rows} rows; accepted: 1 to {MAX_ROWS} - {_HINT}")
-        table = file.read(columns=[name for name in names if name in columns])
+        content = file.read(columns=[name for name in names if name in columns])
+        content.validate(full=True)  # such as text that is not UTF-8
+        table = content.to_pandas(ignore_metadata=True)
     except (pa.ArrowException, OSError, ValueError, MemoryError) as error:
         if isinstance(error, FileError):
             raise
         raise FileError(path, f"not a Parquet file that can be read: {error} - {_HINT}") from error
-    return check_table(path, table.to_pandas(ignore_metadata=True), columns)
+    return check_table(path, table, columns)
 
 
 def _present(columns: Columns, newer: Columns, header: list[Any]) -> Columns:

@@ -32,10 +32,10 @@ from probe_agents.policies.bundle import Agent, Description, StoredNetwork, writ
 from probe_agents.policies.policy import Policy, ranges_of
 from probe_agents.policies.view import Rows, View
 from probe_agents.records.atomic import write_atomically
-from probe_agents.records.locks import run_lock
 from probe_agents.records.manifest import origin as made_by
 from probe_agents.records.manifest import write_json, write_manifest
 from probe_agents.records.models import Stored, read_json
+from probe_agents.records.result_folder import run_lock
 from probe_agents.records.tables import CURVE as CURVE_COLUMNS
 from probe_agents.records.tables import read_csv
 from probe_agents.terminal.tables import print_table

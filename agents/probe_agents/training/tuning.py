@@ -26,10 +26,10 @@ from tqdm import tqdm
 
 from probe_agents.records.atomic import write_atomically
 from probe_agents.records.drawing import BLUE, GRID, RED, save
-from probe_agents.records.locks import run_lock
 from probe_agents.records.manifest import origin as made_by
 from probe_agents.records.manifest import write_manifest
 from probe_agents.records.models import Stored, validate
+from probe_agents.records.result_folder import run_lock
 from probe_agents.records.searches import JOURNAL, open_study
 from probe_agents.terminal.tables import print_line, print_table
 from probe_agents.terminal.work import Work, announce

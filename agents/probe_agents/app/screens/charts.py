@@ -11,7 +11,7 @@ from bokeh import models
 
 from probe_agents.app.runs import ProbeShape, flaw_signal
 from probe_agents.app.screens import widgets as ui
-from probe_agents.evaluation.plan import Unit
+from probe_agents.evaluation.plan import EpisodeId
 from probe_env.arrays import FloatArray
 from probe_env.envs.pictures.strip import FRAME_PERIOD, Motion
 from probe_env.inspection.sensor import Sensor
@@ -139,7 +139,7 @@ class UnrolledProbe:
         self.title = ui.Text()
         self.layout = ui.column(self.title, ui.Text(legend), self.tube.plot, *(plots if with_forces else ()))
 
-    def show(self, shape: ProbeShape, unit: Unit) -> None:
+    def show(self, shape: ProbeShape, unit: EpisodeId) -> None:
         """Draw the last metres of the probe of an episode."""
         self.title.text = f"<h2>Probe of {escape(unit[0])}, tube {unit[1]}</h2>"
         centre = (shape.radial + shape.lever) * MM

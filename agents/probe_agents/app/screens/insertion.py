@@ -15,7 +15,7 @@ from probe_agents.app.screens import widgets as ui
 from probe_agents.app.screens.charts import MM, RMS, FlawChart, LengthCharts, SlowMotion, UnrolledProbe
 from probe_agents.app.state import Session
 from probe_agents.evaluation.folder import read_evaluation
-from probe_agents.evaluation.plan import Unit
+from probe_agents.evaluation.plan import EpisodeId
 from probe_agents.evaluation.repeat import is_judged
 from probe_agents.evaluation.report import first_page
 from probe_agents.policies.catalogue import NAMES
@@ -97,7 +97,7 @@ class InsertionScreen(RunScreen):
         self.status, self.verdict, self.observation = ui.Text(name="run-status"), ui.Text(), ui.Text()
         self._judged: Run | None = None  # run whose end is in ``verdict``
         self._motion: Motion | None = None
-        self._unit: Unit | None = None  # episode in the charts
+        self._unit: EpisodeId | None = None  # episode in the charts
         left = ui.column(self.probe.layout, self.slow_motion.layout, signal, self.flaw.layout)
         self.pictures = ui.columns((left, 440, 3), (ui.column(self.charts.layout, self.observation), 330, 2))
         self.pictures.visible = False
@@ -242,7 +242,7 @@ class InsertionScreen(RunScreen):
             self._show_run(self.session.app.queue.add(request))
 
 
-def _last(run: Run, unit: Unit) -> dict[str, float]:
+def _last(run: Run, unit: EpisodeId) -> dict[str, float]:
     """The last period of an episode; empty before the first."""
     return {key: float(values[-1]) for key, values in run.trace(unit).items() if len(values)}
 
@@ -262,7 +262,7 @@ def _status(run: Run) -> str:
     return f"<p {attributes}>{state}</p>{notes}{ui.alert(run.problem)}"
 
 
-def _observation(observation: dict[str, float], unit: Unit, last: dict[str, float]) -> str:
+def _observation(observation: dict[str, float], unit: EpisodeId, last: dict[str, float]) -> str:
     """Observation of a policy and its last request, as HTML."""
     if not last:
         return ""

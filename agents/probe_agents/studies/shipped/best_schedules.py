@@ -11,7 +11,7 @@ import pandas as pd
 from cmaes import CMA
 from tqdm import tqdm
 
-from probe_agents.evaluation.plan import Plan, run_plan, stored_episodes
+from probe_agents.evaluation.plan import Plan, run_plan
 from probe_agents.policies.cases import load_case, map_of, plant_at
 from probe_agents.policies.fixed import Scheduled
 from probe_agents.policies.on_map import FIRST, least_air
@@ -129,7 +129,7 @@ def run_search(name: str, trials: int, request: Request, vibration: VibrationMap
         fast = resolve_fidelity("fast", config.scene)
         return Plan({name: Scheduled(config, schedule)}, tubes, config=config, fidelity=fast)
 
-    stored_episodes(plan_of(family.schedule(list(family.start), config)), output / "simulated" / name)
+    plan_of(family.schedule(list(family.start), config)).folder(output / "simulated" / name).check("episodes.jsonl")
     training = family.tubes(train.contexts)
     cost = MapCost(training, config, vibration)
 

@@ -116,9 +116,9 @@ def run(request: Request) -> Path:
     profile[list(CONTEXT)] = tubes.to_numpy()[profile["context"]]
     fitted, quality = fit_map(profile, scene=plant.scene if plant else None, measure=config.vibration_measure)
     write_atomically(target, fitted.to_bytes())
-    setting = {"contexts": "train", "episodes": len(plan.units()), "held_out_tubes": HELD_OUT}
+    setting = {"contexts": "train", "episodes": len(episodes), "held_out_tubes": HELD_OUT}
     write_json(target.with_suffix(".json"), origin(commits=episodes["commit"]) | setting | quality)
-    print(f"map of {len(plan.units())} insertions: explained variance of log rms {quality['explained_variance']:.3f}")
+    print(f"map of {len(episodes)} insertions: explained variance of log rms {quality['explained_variance']:.3f}")
     print_line(f"written: {target}")
     return target
 
