@@ -2,38 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from typing import Any, Literal, Unpack
 
 import gymnasium as gym
 import numpy as np
+from gymnasium.vector import AutoresetMode
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvObs, VecEnvStepReturn
 
 from probe_env.envs.env import (
-    IncrementalInsertionEnv,
-    InsertionEnv,
-    InspectionEnv,
-    ProbeEnv,
-    SnapshotEnv,
-    check_episode_steps,
-    make_episodes,
-    spaces_of,
+    IncrementalInsertionVectorEnv,
+    InsertionVectorEnv,
+    InspectionVectorEnv,
+    ProbeVectorEnv,
+    SnapshotVectorEnv,
 )
-from probe_env.envs.episodes.decisions import decide
-from probe_env.envs.episodes.starts import DEFAULTS, EpisodeSettings, resolve_settings
-from probe_env.envs.task import TaskConfig, as_actions
-from probe_env.settings import check_keywords
+from probe_env.envs.episodes.starts import EpisodeSettings
+from probe_env.envs.task import TaskConfig
 
 EnvId = Literal[
     "probe_env/Insertion-v1", "probe_env/IncrementalInsertion-v1", "probe_env/Snapshot-v1", "probe_env/Inspection-v0"
 ]
-ENVIRONMENTS: dict[str, type[ProbeEnv]] = {
-    "probe_env/Insertion-v1": InsertionEnv,
-    "probe_env/IncrementalInsertion-v1": IncrementalInsertionEnv,
-    "probe_env/Snapshot-v1": SnapshotEnv,
-    "probe_env/Inspection-v0": InspectionEnv,
+ENVIRONMENTS: dict[str, type[ProbeVectorEnv]] = {
+    "probe_env/Insertion-v1": InsertionVectorEnv,
+    "probe_env/IncrementalInsertion-v1": IncrementalInsertionVectorEnv,
+    "probe_env/Snapshot-v1": SnapshotVectorEnv,
+    "probe_env/Inspection-v0": InspectionVectorEnv,
 }
-"""Environment id -> class."""
+"""Environment id -> native batch."""
 
 
 class ProbeVecEnv(VecEnv):
@@ -45,10 +41,7 @@ class ProbeVecEnv(VecEnv):
     Args:
         env_id: a key of ``ENVIRONMENTS``.
         num_envs: N; environment i equals a single one with the seed ``seed + i``.
-        threads: largest number of threads; default: all cores.
-        max_episode_steps: steps after which an episode is truncated, as in ``gymnasium.make``; default: only by the
-            task's time limit, a field of ``config``.
-        config, settings: see ``InsertionEnv``.
+        config, settings: as ``gymnasium.make_vec``, see ``ProbeVectorEnv``.
 
     Raises:
         ValueError: an argument is not valid.
@@ -66,15 +59,13 @@ class ProbeVecEnv(VecEnv):
     ) -> None:
         if env_id not in ENVIRONMENTS:
             raise ValueError(f"env_id = {env_id!r} is not one of {', '.join(ENVIRONMENTS)}")
-        check_episode_steps(max_episode_steps)
-        self.config, settings = resolve_settings(ENVIRONMENTS[env_id].defaults, config, settings)
-        check_keywords(type(self).__name__, settings, ("config", *DEFAULTS))
-        self.episodes = make_episodes(num_envs, self.config, threads=threads, **settings)
-        self.render_mode = None
-        super().__init__(num_envs, *spaces_of(self.config))
-        self._rngs: dict[int, np.random.Generator] = {}
+        self.native = ENVIRONMENTS[env_id](
+            num_envs, config, autoreset_mode=AutoresetMode.SAME_STEP, threads=threads,
+            max_episode_steps=max_episode_steps, **settings,
+        )  # fmt: skip
+        self.config, self.episodes, self.render_mode = self.native.config, self.native.episodes, None
+        super().__init__(num_envs, self.native.single_observation_space, self.native.single_action_space)
         self._actions = np.zeros((num_envs, 2), dtype=np.float32)
-        self.max_episode_steps, self._steps = max_episode_steps, np.zeros(num_envs, dtype=int)
 
     def __repr__(self) -> str:
         return f"<{type(self).__name__}: {self.episodes!r}>"
@@ -86,40 +77,25 @@ class ProbeVecEnv(VecEnv):
 
     def reset(self) -> VecEnvObs:
         """Start all episodes, with the seeds of ``seed`` and the options of ``set_options`` if these were called."""
-        every = list(range(self.num_envs))
-        for k in every:
-            if self._seeds[k] is not None or k not in self._rngs:
-                self._rngs[k] = gym.utils.seeding.np_random(self._seeds[k])[0]
-        observation, infos = self.episodes.reset(every, self._rngs, dict(enumerate(self._options)))
-        self._steps[:] = 0
-        self.reset_infos = [infos[k] for k in every]
+        observation, infos = self.native.start(range(self.num_envs), self._seeds, dict(enumerate(self._options)))
+        self.reset_infos = [infos[k] for k in range(self.num_envs)]
         self._reset_seeds()
         self._reset_options()
         return observation
 
     def step_async(self, actions: np.ndarray) -> None:
         """Store the actions for ``step_wait``."""
-        self._actions = as_actions(actions, (self.num_envs, 2)).astype(np.float32)
+        self._actions = np.array(actions, dtype=np.float32)
 
     def step_wait(self) -> VecEnvStepReturn:
         """Apply the actions to all environments."""
-        step = decide(self.episodes, self._actions)
-        self._steps += 1
-        late = self._steps >= self.max_episode_steps if self.max_episode_steps else np.zeros_like(step.truncated)
-        truncated = step.truncated | (late & ~step.terminated)
-        done = step.terminated | truncated
-        observation, infos = step.observation, step.infos
+        observation, reward, terminated, truncated, infos = self.native.advance(self._actions)
         for k, info in enumerate(infos):
-            info["TimeLimit.truncated"] = bool(truncated[k])
-        if ended := np.flatnonzero(done).tolist():
-            for k in ended:
-                infos[k]["terminal_observation"] = step.observation[k].copy()
-            self._steps[ended] = 0
-            first, started = self.episodes.reset(ended, self._rngs)
-            observation[ended] = first[ended]
-            for k in ended:
-                self.reset_infos[k] = started[k]
-        return observation, step.reward.astype(np.float32), done, infos
+            if "final_info" in info:
+                infos[k] = info.pop("final_info") | {"terminal_observation": info.pop("final_obs")}
+                self.reset_infos[k] = info
+            infos[k]["TimeLimit.truncated"] = bool(truncated[k] and not terminated[k])
+        return observation, reward.astype(np.float32), terminated | truncated, infos
 
     def close(self) -> None:
         """Nothing to close."""
@@ -145,7 +121,3 @@ class ProbeVecEnv(VecEnv):
     ) -> list[bool]:
         """False: a native batch has no wrapped environments."""
         return [False for _ in self._get_indices(indices)]
-
-    def get_images(self) -> Sequence[np.ndarray | None]:
-        """None for each environment: only a single environment can be rendered."""
-        return [None] * self.num_envs

@@ -448,18 +448,35 @@ class ProbeVectorEnv(Specified, gym.vector.VectorEnv[Observation, Observation, A
             seeds = [None if entry is None else operator.index(entry) for entry in seed]
         if seeds is not None and len(seeds) != self.num_envs:
             raise ValueError(f"seed has {len(seeds)} entries for {self.num_envs} environments")
-        self._seed(which, seeds)
-        observation, infos = self.episodes.reset(which, self._rngs, dict.fromkeys(which, options))
-        self._ended[mask], self._steps[mask] = False, 0
+        observation, infos = self.start(which, seeds, dict.fromkeys(which, options))
         merged: dict[str, Any] = {}
         for k in which:
             merged = self._add_info(merged, infos[k], k)
         return observation, merged
 
+    def start(
+        self, which: Sequence[int], seeds: Sequence[int | None] | None, options: Mapping[int, dict[str, Any] | None]
+    ) -> tuple[Observation, dict[int, dict[str, Any]]]:
+        """Start episodes; observations (N, d) of all environments and the info of each started one."""
+        self._seed(which, seeds)
+        self._ended[which], self._steps[which] = False, 0
+        return self.episodes.reset(which, self._rngs, options)
+
     def step(
         self, actions: npt.ArrayLike
     ) -> tuple[Observation, FloatArray, npt.NDArray[np.bool_], npt.NDArray[np.bool_], dict[str, Any]]:
         """Apply an action to each probe; ended episodes restart according to ``autoreset_mode``."""
+        observation, reward, terminated, truncated, infos = self.advance(actions)
+        merged: dict[str, Any] = {}
+        for k, info in enumerate(infos):
+            if info:
+                merged = self._add_info(merged, info, k)
+        return observation, reward, terminated, truncated, merged
+
+    def advance(
+        self, actions: npt.ArrayLike
+    ) -> tuple[Observation, FloatArray, npt.NDArray[np.bool_], npt.NDArray[np.bool_], list[dict[str, Any]]]:
+        """``step`` with one info for each environment."""
         starting = self._ended.copy()
         if starting.any() and self.autoreset_mode is AutoresetMode.DISABLED:
             raise RuntimeError(f"episode {np.flatnonzero(starting)[0]} has ended: reset it with options['reset_mask']")
@@ -485,11 +502,7 @@ class ProbeVectorEnv(Specified, gym.vector.VectorEnv[Observation, Observation, A
             for k in ended:
                 infos[k] = started[k] | {"final_obs": final[k], "final_info": infos[k]}
             self._ended[:] = False
-        merged: dict[str, Any] = {}
-        for k, info in enumerate(infos):
-            if info:
-                merged = self._add_info(merged, info, k)
-        return observation, reward.copy(), terminated.copy(), truncated.copy(), merged
+        return observation, reward.copy(), terminated.copy(), truncated.copy(), infos
 
     def _start(self, which: list[int], observation: Observation) -> dict[int, dict[str, Any]]:
         """Start episodes and put their observations into ``observation`` (N, d); their infos."""

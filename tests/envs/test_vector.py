@@ -3,11 +3,11 @@
 import gymnasium as gym
 import numpy as np
 import pytest
+from conformance import check_vector_env
 from gymnasium.vector import AutoresetMode
 from stable_baselines3 import PPO
 
 import probe_env
-from probe_agents.conformance import check_vector_env
 from probe_agents.vec_env import ProbeVecEnv
 
 CASES = {
@@ -105,7 +105,7 @@ def test_make_vec_options_and_refusals():
         ProbeVecEnv(num_envs=0)
     with pytest.raises(ValueError, match="max_episode_steps = 0"):
         ProbeVecEnv(max_episode_steps=0)
-    for what, make in (("gym.make", gym.make), ("gym.make_vec", gym.make_vec), ("ProbeVecEnv", ProbeVecEnv)):
+    for what, make in (("gym.make", gym.make), ("gym.make_vec", gym.make_vec), ("gym.make_vec", ProbeVecEnv)):
         message = rf"{what}\(\) got an unexpected keyword argument 'fidelty'; accepted are .*; the closest: fidelity"
         with pytest.raises(TypeError, match=message):
             make("probe_env/Snapshot-v1", fidelty="fast")

@@ -23,7 +23,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from stable_baselines3.common.policies import BasePolicy
 
-from probe_agents.policies.policy import Domain, RangesOfTubes
+from probe_agents.policies.policy import Domain, ObservationPolicy, RangesOfTubes
 from probe_agents.policies.trained import RESTORE, read_weights
 from probe_agents.policies.view import View, without
 from probe_agents.records.atomic import write_atomically
@@ -141,7 +141,7 @@ class Description(Model):
         return self
 
 
-class Agent:
+class Agent(ObservationPolicy):
     """A trained policy with SB3's ``predict`` on the observations of a task; memory is in the returned state.
 
     In a task with withdrawal the feed is rounded to the steps of the feed device of the training.
@@ -179,25 +179,16 @@ class Agent:
         any_probe = set(PROBE) <= set(made.view.observations)
         return Domain(ranges, scene.tube.inner_diameter, scene.tube.helix_length, None if any_probe else scene.probe)
 
-    def predict(
-        self,
-        observation: npt.NDArray[np.floating[Any]],
-        state: tuple[Any, ...] | None = None,
-        episode_start: npt.NDArray[np.bool_] | None = None,
-        deterministic: bool = False,
+    def _act(
+        self, rows: Floats, state: Any, start: BoolArray, deterministic: bool
     ) -> tuple[npt.NDArray[np.float32], tuple[Any, ...]]:
-        """Targets of the control period for observations (d,) or (N, d), and the state for the next call."""
-        rows = np.atleast_2d(observation)
+        """(N, 2) targets of the control period for observations (N, d), and the next state."""
         if self._other_ranges:  # previous actions in the ranges of the training
             rows, names = rows.copy(), list(self.config.observations)
             for name, column in PREVIOUS.items():
                 here, trained = getattr(self.config, name), getattr(self.description.task, name)
                 rows[:, names.index(column)] = action_in(rows[:, names.index(column)], here, trained)
-        if state is None:
-            start = np.ones(len(rows), dtype=bool)
-        else:
-            start = np.zeros(len(rows), dtype=bool) if episode_start is None else np.asarray(episode_start, dtype=bool)
-        act = self._hold if self.description.task.custom_actions else self._act
+        act = self._hold if self.description.task.custom_actions else self._infer
         applied, state = act(rows, state, start, deterministic)
         if self._other_ranges:
             applied = self.config.actions(*self.description.task.targets(applied).T).astype(np.float32)
@@ -205,9 +196,9 @@ class Agent:
             feed, air = self.config.targets(applied).T
             feed = self._feed_speed_step * np.round(feed / self._feed_speed_step)
             applied = self.config.actions(feed, air).astype(np.float32)
-        return (applied[0] if np.ndim(observation) == 1 else applied), state
+        return applied, state
 
-    def _act(self, rows: Floats, state: Any, start: BoolArray, deterministic: bool) -> tuple[Floats, tuple[Any, ...]]:
+    def _infer(self, rows: Floats, state: Any, start: BoolArray, deterministic: bool) -> tuple[Floats, tuple[Any, ...]]:
         """(N, 2) actions of the environment of the training for observations (N, d), and the next state."""
         memory, inner = state if state is not None else (None, None)
         view = self.description.view
@@ -231,14 +222,14 @@ class Agent:
         if due.any():
             means = rows.copy()
             means[:, columns] = sums / periods[:, None]
-            actions, new = self._act(means, inner, start, deterministic)
+            actions, new = self._infer(means, inner, start, deterministic)
             targets = np.where(due[:, None], changed_targets(task, targets, actions), targets)
             inner = new if inner is None else _selected(due, new, inner)
             periods, sums = np.where(due, 0, periods), np.where(due[:, None], 0.0, sums)
         return targets, (periods, targets, sums, inner)
 
     def describe(self) -> dict[str, Any]:
-        """JSON-ready description; equal for equal agents."""
+        """With the hash of the bundle."""
         return {"policy": "Agent", "algorithm": self.description.algorithm, "bundle": self.hash}
 
 

@@ -6,19 +6,19 @@ for each environment, the time first.
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from dataclasses import asdict, dataclass, field
 from typing import Any, ClassVar, Final
 
 import numpy as np
 import numpy.typing as npt
 
-from probe_env.arrays import FloatArray
+from probe_agents.policies.policy import ObservationPolicy
+from probe_env.arrays import BoolArray, FloatArray
 from probe_env.envs.task import TaskConfig, value_at
 from probe_env.envs.task.observations import in_si_units
 from probe_env.schedule import Schedule
 
-State = tuple[np.ndarray, ...]
 STUDY_FEED, STUDY_AIR = 0.2, 63.0 / 3600.0
 NEEDED: Final = {
     "root_tension": "the root tension (observe_root_tension = true)",
@@ -33,7 +33,7 @@ def gain(config: TaskConfig, seconds: float) -> float:
 
 
 @dataclass
-class FixedPolicy(ABC):
+class FixedPolicy(ObservationPolicy):
     """Base class: decodes the observation, updates time and memory, encodes the action.
 
     Attributes:
@@ -65,34 +65,25 @@ class FixedPolicy(ABC):
             memory: (N, m), updated in place.
         """
 
-    def start(self, memory: FloatArray) -> None:  # noqa: B027 (most policies remember nothing)
+    def start(self, memory: FloatArray) -> None:
         """Initialise the memory (rows of new episodes)."""
 
-    def predict(
-        self,
-        observation: npt.NDArray[np.floating],
-        state: State | None = None,
-        episode_start: npt.NDArray[np.bool_] | None = None,
-        deterministic: bool = False,
-    ) -> tuple[npt.NDArray[np.float32], State]:
-        """Actions for observations (d,) or (N, d), and the state for the next call."""
-        rows = np.atleast_2d(observation)
+    def _act(
+        self, rows: npt.NDArray[np.floating], state: Any, start: BoolArray, deterministic: bool
+    ) -> tuple[npt.NDArray[np.float32], Any]:
         memory = np.zeros((len(rows), self.memory + 1)) if state is None else state[0].copy()
-        new = np.ones(len(rows), dtype=bool) if state is None else np.zeros(len(rows), dtype=bool)
-        if episode_start is not None:
-            new |= np.asarray(episode_start, dtype=bool)
-        fresh = np.zeros((int(new.sum()), self.memory + 1))
+        fresh = np.zeros((int(start.sum()), self.memory + 1))
         self.start(fresh[:, 1:])
-        memory[new] = fresh
+        memory[start] = fresh
         feed, air = self.targets({"time": memory[:, 0], **in_si_units(self.config, rows)}, memory[:, 1:])
         memory[:, 0] += self.config.period
         action = self.config.actions(feed, air).astype(np.float32)
         if self.allow_standstill:
             action[np.asarray(feed) == 0.0, 0] = self.config.standstill
-        return (action[0] if np.ndim(observation) == 1 else action), (memory,)
+        return action, (memory,)
 
     def describe(self) -> dict[str, Any]:
-        """JSON-ready description; equal for equal policies."""
+        """With all settings."""
         values = {name: value for name, value in asdict(self).items() if name != "config"}
         return {"policy": type(self).__name__, **values}
 

@@ -5,16 +5,19 @@ from __future__ import annotations
 import json
 import math
 import warnings
+from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Protocol, TypeVar
 
 import numpy as np
+import numpy.typing as npt
 from pydantic import AfterValidator, FiniteFloat, ValidationError
 from pydantic_core import PydanticCustomError
 
 from probe_env import Context
+from probe_env.arrays import BoolArray
 from probe_env.envs.contexts import Ranges
 from probe_env.envs.episodes.starts import Contexts, checked_contexts
 from probe_env.envs.task import TaskConfig
@@ -34,6 +37,35 @@ class Policy(Controller, Protocol):
 
     def describe(self) -> dict[str, Any]:
         """JSON-ready description."""
+
+
+class ObservationPolicy(ABC):
+    """Base class of policies that act on observations: SB3's ``predict`` from the method ``_act``."""
+
+    def predict(
+        self,
+        observation: npt.NDArray[np.floating],
+        state: Any = None,
+        episode_start: npt.NDArray[np.bool_] | None = None,
+        deterministic: bool = False,
+    ) -> tuple[npt.NDArray[np.float32], Any]:
+        """Actions for observations (d,) or (N, d), and the state for the next call."""
+        rows = np.atleast_2d(observation)
+        start = np.full(len(rows), state is None)
+        if episode_start is not None:
+            start |= np.asarray(episode_start, dtype=bool)
+        actions, state = self._act(rows, state, start, deterministic)
+        return (actions[0] if np.ndim(observation) == 1 else actions), state
+
+    @abstractmethod
+    def _act(
+        self, rows: npt.NDArray[np.floating], state: Any, start: BoolArray, deterministic: bool
+    ) -> tuple[npt.NDArray[np.float32], Any]:
+        """(N, 2) actions for observations (N, d) and the next state; ``start`` (N,): whether an episode begins."""
+
+    @abstractmethod
+    def describe(self) -> dict[str, Any]:
+        """JSON-ready description, equal for equal policies."""
 
 
 def _checked(ranges: dict[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -10,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from probe_agents.policies.fixed import STUDY_AIR
-from probe_agents.policies.policy import Domain, Policy
+from probe_agents.policies.policy import Domain, ObservationPolicy, Policy
 from probe_env.arrays import BoolArray, FloatArray
 from probe_env.envs.task import TaskConfig
 from probe_env.envs.task.observations import in_si_units
@@ -28,29 +27,8 @@ SIGNED: Final = ("feed_speed", "air_supply_rate", "root_tension")
 """Observations whose sign depends on the direction."""
 
 
-class _Wrapper(ABC):
-    """Base class: SB3's ``predict`` from a method for (N, d) observations."""
-
-    def predict(
-        self,
-        observation: npt.NDArray[np.floating],
-        state: Any = None,
-        episode_start: BoolArray | None = None,
-        deterministic: bool = False,
-    ) -> tuple[npt.NDArray[np.float32], Any]:
-        """Actions for observations (d,) or (N, d), and the state for the next call."""
-        actions, state = self._act(np.atleast_2d(observation), state, episode_start, deterministic)
-        return (actions[0] if np.ndim(observation) == 1 else actions), state
-
-    @abstractmethod
-    def _act(
-        self, rows: npt.NDArray[np.floating], state: Any, start: BoolArray | None, deterministic: bool
-    ) -> tuple[npt.NDArray[np.float32], Any]:
-        """Actions (N, 2) for observations (N, d), and the next state."""
-
-
 @dataclass
-class Shielded(_Wrapper):
+class Shielded(ObservationPolicy):
     """A policy whose feed and air maintain a margin of drive; within the margin its actions are unchanged.
 
     The friction estimated from the root tension gives the tension at the requested feed and air, proportional to the
@@ -83,11 +61,10 @@ class Shielded(_Wrapper):
         return getattr(self.policy, "domain", None)
 
     def _act(
-        self, rows: npt.NDArray[np.floating], state: Any, start: BoolArray | None, deterministic: bool
+        self, rows: npt.NDArray[np.floating], state: Any, start: BoolArray, deterministic: bool
     ) -> tuple[npt.NDArray[np.float32], Any]:
-        inner, friction = (None, np.full(len(rows), self.prior)) if state is None else state
-        if start is not None:
-            friction = np.where(start, self.prior, friction)
+        inner, friction = (None, self.prior) if state is None else state
+        friction = np.where(start, self.prior, friction)
         requested, inner = self.policy.predict(rows, inner, start, deterministic)
         actions, measured = np.array(requested, dtype=np.float32), in_si_units(self.config, rows)
         gain = -np.expm1(-self.config.period / self.average)
@@ -125,7 +102,7 @@ class Shielded(_Wrapper):
 
 
 @dataclass
-class SpeedLimited(_Wrapper):
+class SpeedLimited(ObservationPolicy):
     """A policy whose feed stays at most at ``permitted_feed`` of the task, in every pass that is scored.
 
     Attributes:
@@ -137,7 +114,7 @@ class SpeedLimited(_Wrapper):
     policy: Policy
 
     def _act(
-        self, rows: npt.NDArray[np.floating], state: Any, start: BoolArray | None, deterministic: bool
+        self, rows: npt.NDArray[np.floating], state: Any, start: BoolArray, deterministic: bool
     ) -> tuple[npt.NDArray[np.float32], Any]:
         requested, state = self.policy.predict(rows, state, start, deterministic)
         actions, config = np.array(requested, dtype=np.float32), self.config
@@ -165,7 +142,7 @@ def fastest_withdrawal(config: TaskConfig) -> Schedule:
 
 
 @dataclass
-class RoundTripPolicy(_Wrapper):
+class RoundTripPolicy(ObservationPolicy):
     """A policy for the insertion, and a schedule over inserted length for the withdrawal.
 
     Attributes:
@@ -179,7 +156,7 @@ class RoundTripPolicy(_Wrapper):
     withdrawal: Schedule
 
     def _act(
-        self, rows: npt.NDArray[np.floating], state: Any, start: BoolArray | None, deterministic: bool
+        self, rows: npt.NDArray[np.floating], state: Any, start: BoolArray, deterministic: bool
     ) -> tuple[npt.NDArray[np.float32], Any]:
         """Actions; in the withdrawal they are the schedule's, and the inner policy gets observations without signs."""
         names, measured = list(self.config.observations), in_si_units(self.config, rows)

@@ -158,7 +158,7 @@ class Training(Model):
     @cached_property
     def task(self) -> TaskConfig:
         """Task of the training."""
-        defaults = ENVIRONMENTS[self.environment.env_id].defaults
+        defaults = ENVIRONMENTS[self.environment.env_id].single.defaults
         return resolve_settings(defaults, self.environment.task, {"tube": self.environment.tube})[0]
 
     @cached_property
