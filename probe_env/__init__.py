@@ -22,35 +22,20 @@ from probe_env.envs.contexts import Context, load_contexts, spread_contexts
 from probe_env.envs.plants import Plant
 from probe_env.envs.task import TaskConfig
 from probe_env.errors import SimulationError, StabilityWarning
-from probe_env.fidelity import Fidelity, choose_fidelity
+from probe_env.fidelity import Fidelity, FidelityChoice, choose_fidelity, resolve_fidelity
 from probe_env.physics.simulation.batch import SimulatorBatch
 from probe_env.physics.simulation.run import Run
 from probe_env.physics.simulation.simulator import Simulator
 from probe_env.physics.simulation.window import Window
 from probe_env.scene import Air, Contact, Probe, Scene, Tube
+from probe_env.schedule import Schedule
+from probe_env.settings import Model
 
 __all__ = [
-    "Air",
-    "Contact",
-    "Context",
-    "Design",
-    "Fidelity",
-    "Plant",
-    "Probe",
-    "Run",
-    "Scene",
-    "SimulationError",
-    "Simulator",
-    "SimulatorBatch",
-    "StabilityWarning",
-    "TaskConfig",
-    "Tube",
-    "Window",
-    "__version__",
-    "choose_fidelity",
-    "load_contexts",
-    "spread_contexts",
-]
+    "Air", "Contact", "Context", "Design", "Fidelity", "FidelityChoice", "Model", "Plant", "Probe", "Run", "Scene",
+    "Schedule", "SimulationError", "Simulator", "SimulatorBatch", "StabilityWarning", "TaskConfig", "Tube", "Window",
+    "__version__", "choose_fidelity", "load_contexts", "resolve_fidelity", "spread_contexts",
+]  # fmt: skip
 
 try:
     __version__ = version("probe-env")

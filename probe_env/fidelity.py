@@ -250,7 +250,7 @@ class MeasuredError(NamedTuple):
     cost: float
 
 
-class Choice(NamedTuple):
+class FidelityChoice(NamedTuple):
     """Chosen settings and the reason; ``error`` bounds that of all outputs, ``cost`` is in s per pitch and second."""
 
     fidelity: Fidelity
@@ -285,7 +285,7 @@ def outputs() -> tuple[str, ...]:
 
 def choose_fidelity(
     scene: Scene, tolerance: float = TOLERANCE, needed: Sequence[str] = ("radial_rms_m",), growing: bool = False
-) -> Choice:
+) -> FidelityChoice:
     """The cheapest settings whose measured error is within the tolerance for all needed outputs.
 
     Between measured lengths and stiffnesses, the larger error of both neighbours counts. For a growing probe, all
@@ -294,7 +294,7 @@ def choose_fidelity(
     Args:
         scene: its length and contact stiffness are used.
         tolerance: largest relative error of an ensemble mean.
-        needed: names from ``outputs``.
+        needed: measured outputs, named as in ``point_statistics``.
         growing: whether the probe is inserted; time-lapse is considered only then.
 
     Raises:
@@ -338,7 +338,7 @@ def choose_fidelity(
         f" the cheapest of {len(within)} of {len(rated)} settings"
     )
     LOGGER.info("fidelity auto: %s", reason)
-    return Choice(chosen, error, cost, reason)
+    return FidelityChoice(chosen, error, cost, reason)
 
 
 def _stiffnesses(scene: Scene) -> list[float]:

@@ -20,6 +20,7 @@ from probe_env.envs.env import (
 from probe_env.envs.episodes.starts import EpisodeSettings
 from probe_env.envs.task import TaskConfig
 
+__all__ = ["ProbeVecEnv"]
 EnvId = Literal[
     "probe_env/Insertion-v1", "probe_env/IncrementalInsertion-v1", "probe_env/Snapshot-v1", "probe_env/Inspection-v0"
 ]

@@ -1,7 +1,11 @@
-"""README and docs/: examples run, commands and methods exist, links lead somewhere, the results table is stored."""
+"""README and docs/: examples run, commands, methods and public names exist, links work, the results table is stored."""
 
+import ast
 import re
 import runpy
+import subprocess
+import sys
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -18,6 +22,12 @@ EXAMPLES = [
     for k, example in enumerate(re.findall(r"```python\n(.*?)```", text, re.DOTALL))
     if not re.search(r"from (ray|minari)\b", example)  # tests/ray and tests/libraries run these
 ]
+PACKAGES = (
+    "probe_env", "probe_env.envs", "probe_env.physics", "probe_agents.policies", "probe_agents.evaluation",
+    "probe_agents.plant", "probe_agents.studies",
+)  # fmt: skip
+MODULES = ("probe_agents.vec_env", "probe_agents.conformance")
+"""Where users import from; a package loads its modules when a name is used."""
 LINK = re.compile(r"\]\(([^)\s]+)\)")
 
 
@@ -37,6 +47,38 @@ def test_the_figures_of_the_readme_are_the_stored_ones(monkeypatch):
 def test_commands_and_methods_are_on_their_pages():
     assert [name for name in COMMANDS if f"| `{name}` |" not in PAGES["docs/commands.md"]] == []
     assert [name for name in METHODS if f"`{name}`" not in PAGES["docs/fidelity.md"]] == []
+
+
+@pytest.fixture
+def public():
+    names = [(place, name) for place in PACKAGES + MODULES for name in import_module(place).__all__]
+    assert len({name for _, name in names}) == len(names)  # one import path for each
+    return {f"{place}.{name}" for place, name in names if name != "__version__"}
+
+
+def test_public_names_are_those_of_the_api_page(public):
+    entries = re.findall(
+        r"^\.\. (?:auto|py:)(?:class|function|exception|data):: (\S+)", PAGES["docs/api.md"], re.MULTILINE
+    )
+    assert sorted(entries) == sorted(public)
+    for place, _, name in (path.rpartition(".") for path in entries):
+        assert getattr(import_module(place), name).__doc__, name
+
+
+def test_pages_import_public_names_only(public):
+    for page, text in PAGES.items():
+        for example in re.findall(r"```python\n(.*?)```", text, re.DOTALL):
+            for node in ast.walk(ast.parse(example)):
+                if isinstance(node, ast.ImportFrom) and node.module.startswith("probe_"):
+                    assert {f"{node.module}.{alias.name}" for alias in node.names} <= public, page
+                if isinstance(node, ast.Import):
+                    assert not [alias.name for alias in node.names if alias.name.startswith("probe_env.")], page
+
+
+def test_public_packages_load_no_agent_library():
+    code = f"import sys, {', '.join(PACKAGES)}; print(*sys.modules)"
+    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
+    assert not {"torch", "stable_baselines3", "matplotlib", "pandas", "pyarrow"} & set(loaded)
 
 
 def test_the_commands_on_pages_exist(capsys):

@@ -1,15 +1,15 @@
 """Evaluation of policies on the same tubes: KPIs, paired statistics, reports, films and inspection signals."""
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from probe_env.lazy import lazy
 
 if TYPE_CHECKING:
-    from probe_agents.evaluation.run import evaluate as evaluate
+    from probe_agents.evaluation.plan import Plan, run_plan
+    from probe_agents.evaluation.run import evaluate
+    from probe_agents.evaluation.statistics import Interval, paired_difference, summarise
 
-
-def __getattr__(name: str) -> Any:
-    """``evaluate``, whose imports take a second."""
-    if name == "evaluate":
-        from probe_agents.evaluation.run import evaluate
-
-        return evaluate
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+__all__ = [
+    "Interval", "Plan", "evaluate", "paired_difference", "run_plan", "summarise",
+]  # fmt: skip
+__getattr__ = lazy(__name__)

@@ -1,1 +1,18 @@
 """Logs of inspection rigs, calibration of a plant from them, schedules for it, and its control law for a PLC."""
+
+from typing import TYPE_CHECKING
+
+from probe_env.lazy import lazy
+
+if TYPE_CHECKING:
+    from probe_agents.plant.calibration import Calibration, calibrate
+    from probe_agents.plant.cleaning import Bounds
+    from probe_agents.plant.logs import Log, read_log
+    from probe_agents.plant.plc_export import structured_text
+    from probe_agents.plant.recommendation import optimal_schedule
+    from probe_agents.records.reader import read_schedule
+
+__all__ = [
+    "Bounds", "Calibration", "Log", "calibrate", "optimal_schedule", "read_log", "read_schedule", "structured_text",
+]  # fmt: skip
+__getattr__ = lazy(__name__)
