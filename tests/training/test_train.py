@@ -14,7 +14,6 @@ import pytest
 import torch
 from kills import Killed, hook_replace, killed_at, stop
 from poisons import ANYWHERE, JSON, Poison
-from probe_agents.records.locks import run_lock
 from safetensors.numpy import load_file
 
 from probe_agents.cli import main
@@ -24,6 +23,7 @@ from probe_agents.policies.catalogue import make_policy
 from probe_agents.policies.fixed import Constant
 from probe_agents.policies.view import View
 from probe_agents.policies.wrappers import RoundTripPolicy
+from probe_agents.records.result_folder import run_lock
 from probe_agents.records.shipped import file_or_shipped
 from probe_agents.training import train as training_module
 from probe_agents.training.config import Training
