@@ -16,7 +16,6 @@ import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 from stable_baselines3.common.vec_env import VecEnv
 
-__all__ = ["check_vector_env"]
 Make = Callable[[int], Any]
 MakeSingle = Callable[[], gym.Env[Any, Any]]
 
