@@ -14,7 +14,7 @@ from probe_agents.cli import main
 from probe_agents.policies.cases import load_case
 from probe_agents.policies.catalogue import DATA
 from probe_agents.records.shipped import file_or_shipped, shipped_names
-from probe_agents.studies.shipped.best_schedules import MapCost
+from probe_agents.studies.searches import MapCost
 from probe_env import Plant
 from probe_env.envs.task import TaskConfig
 from probe_env.files import FileError

@@ -12,8 +12,7 @@ import pytest
 from imageio_ffmpeg import count_frames_and_secs
 
 from probe_agents.cli import main
-from probe_agents.studies.builtin import Request
-from probe_agents.studies.shipped.vibration_map import target_of
+from probe_agents.studies.vibration_map import target_of
 from probe_env import Scene
 from probe_env.physics.methods import METHODS
 
@@ -159,6 +158,6 @@ def test_the_map_of_a_shipped_tube_is_not_overwritten(tmp_path, capsys, monkeypa
     monkeypatch.chdir(ROOT)
     (tmp_path / "mine.toml").write_text(TUBE.read_text())
     tubes = ("snr", str(TUBE), "configs/design/../tubes/snr.toml", str(tmp_path / "mine.toml"))
-    targets = [target_of(Request(Path("output"), tube=Path(tube))) for tube in tubes]
+    targets = [target_of(Path("output"), Path(tube)) for tube in tubes]
     assert targets == [Path("output/vibration-map.npz")] * 3 + [tmp_path / "mine-map.npz"]
     assert capsys.readouterr().err.count("is shipped with its map; the new map is output/vibration-map.npz") == 3

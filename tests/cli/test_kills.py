@@ -8,10 +8,9 @@ from kills import Killed, hook_replace, hook_sync, stop
 
 from probe_agents.design import compare as design
 from probe_agents.design.trials import DesignTrials
-from probe_agents.studies.builtin import Request
+from probe_agents.studies import vibration_map
 from probe_agents.studies.compare import write_comparison
 from probe_agents.studies.run import expand, run_study
-from probe_agents.studies.shipped import vibration_map
 from probe_agents.studies.spec import Study
 from probe_env import Context, Design, load_contexts
 from probe_env.envs.task import TaskConfig
@@ -27,7 +26,7 @@ def study(folder):
 
 
 def make_map(folder):
-    vibration_map.run(Request(folder, trials=1))
+    vibration_map.run(folder, trials=1)
 
 
 def compare(folder):

@@ -19,9 +19,8 @@ from probe_agents.policies.on_map import (
     knots,
 )
 from probe_agents.policies.view import HALF_RANGE, MIDDLE, View
-from probe_agents.studies.builtin import Request
-from probe_agents.studies.shipped.best_schedules import run_search
-from probe_agents.studies.shipped.vibration_map import Wandering, fit_map
+from probe_agents.studies.searches import search_schedule
+from probe_agents.studies.vibration_map import Wandering, fit_map
 from probe_env import Context, Plant, Scene, load_contexts
 from probe_env.design import RANGES
 from probe_env.envs.task import TaskConfig
@@ -71,7 +70,7 @@ def test_a_known_law_is_found_again(monkeypatch, seeds):
     Of eight other tables and starts 0.0545 +- 0.0008 decades were left, of which the deviation told 0.0548 +- 0.0009,
     and 99.47 +- 0.03 %: but for 1e-4 within 0.008, 0.009 and 0.3 %. (With all epochs 0.0485 to 0.0498 of four.)
     """
-    monkeypatch.setattr("probe_agents.studies.shipped.vibration_map.EPOCHS", 60)
+    monkeypatch.setattr("probe_agents.studies.vibration_map.EPOCHS", 60)
     seed = seeds(1)[0]
     table, logarithm = synthetic(seed=seed)
     fitted, quality = fit_map(table, seed=seed)
@@ -256,6 +255,6 @@ def test_a_map_keeps_its_measure_and_one_of_millimetres_is_not_asked_for_noise(t
         expected_costs(tube, SNR, vibration=stored_map())
     assert np.isfinite(expected_costs(tube, SNR, vibration=constant_map(-0.3, 0.01, "snr"))).all()
     with pytest.raises(ValueError, match="but the map is of displacement"):
-        run_search("best-constant", 16, Request(tmp_path), stored_map(), plant_at("snr"))
+        search_schedule("best-constant", tmp_path, 16, stored_map(), plant_at("snr"))
     with pytest.raises(ValueError, match="vibration_measure = 'velocity': maps are of displacement and snr only"):
         expected_costs(tube, TaskConfig(vibration_measure="velocity"), vibration=stored_map())

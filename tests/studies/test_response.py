@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from probe_agents.plant.response import Response
-from probe_agents.studies.builtin import Request
-from probe_agents.studies.shipped import response
+from probe_agents.studies import response
 
 SIZE = 4
 
@@ -35,7 +34,7 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_groups_are_simulated_once_and_the_response_is_of_all(
     small: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    made = response.run(Request(tmp_path, limit=2))
+    made = response.run(tmp_path, limit=2)
     with np.load(tmp_path / "fast-001.npz") as bank:
         rows = {name: bank[name] for name in bank.files}
     assert set(np.unique(rows["specimen"])) <= {SIZE + k for k in range(SIZE)}
@@ -52,7 +51,7 @@ def test_groups_are_simulated_once_and_the_response_is_of_all(
     record = json.loads((tmp_path / "response.json").read_text())
     assert (record["insertions"], record["fidelity"]) == (2 * SIZE, "fast")
     monkeypatch.setattr(response, "simulated", lambda group: pytest.fail(f"group {group} was simulated again"))
-    again = response.run(Request(tmp_path, limit=2))
+    again = response.run(tmp_path, limit=2)
     loaded = Response.load(tmp_path / "response.npz")
     for one, other in ((made, again), (made, loaded)):
         assert all((a[0] == b[0]).all() for a, b in zip(one.layers, other.layers, strict=True))

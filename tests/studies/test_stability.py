@@ -4,47 +4,14 @@ import math
 from itertools import product
 from pathlib import Path
 
-import numpy as np
 import pandas as pd
 import pytest
-from oracles.scatter import CHANCE, reach
 
-from probe_agents.evaluation.workers import Workers
 from probe_agents.studies import stability
-from probe_agents.studies.builtin import Request
-from probe_agents.studies.stability import (
-    ENERGY_STEPS,
-    amplification,
-    bounce,
-    by_step,
-    cells,
-    classify,
-    run_cell,
-    run_energy,
-)
+from probe_agents.studies.stability import amplification, bounce, run_cell, run_energy
+from probe_env.physics.methods import METHODS
 
 FOLDER = Path(__file__).parents[2] / "results" / "stability"
-MAP = pd.read_csv(FOLDER / "map.csv")
-HELD = classify(MAP).assign(held=MAP["diverged_at_s"].isna())
-USUAL_STEP = {method: steps[0] for method, steps in ENERGY_STEPS.items()}
-BETWEEN_WALLS = {"newmark": 0.049, "wilson": 0.89, "imex": 0.09, "imex32": 0.087, "implicit": 0.33}
-"""Standard deviation of the logarithm of the undamped chain's energy after 100,000 steps, over 16 starts."""
-STORED = tuple(MAP["method"].unique())
-
-
-def test_the_map_is_complete_and_what_holds_may_be_wrong():
-    """Every named limit holds; implicit holds everywhere, and is wrong at long steps."""
-    ran = MAP[["method", "stiffness_n_per_m", "length_m", "friction", "ratio"]]
-    assert sorted(ran.itertuples(index=False, name=None)) == sorted(cell for cell in cells() if cell[0] in STORED)
-    assert set(STORED) <= set(stability.METHODS)
-    assert MAP[MAP["method"] == "imex32"]["time_step_s"].min() >= 5e-5
-    assert HELD[HELD["ratio"] <= 1.0]["held"].all()
-    assert (HELD[(HELD["method"] == "implicit") & (HELD["ratio"] >= 1.0)]["verdict"] == "wrong").all()
-    assert (HELD[HELD["omega_dt"] < 0.1]["verdict"] != "wrong").all()
-    shares = by_step(MAP)
-    assert shares["cells"].sum() == len(MAP)
-    assert shares.set_index(["method", "ratio"]).loc["implicit", "stable"].eq(1.0).all()
-    assert (shares["cells"] * shares["wrong"]).sum() == pytest.approx((HELD["verdict"] == "wrong").sum())
 
 
 @pytest.mark.slow
@@ -59,7 +26,7 @@ def test_cells_are_repeated():
     Newmark, the last, in e^(3.47 +- 0.29) steps of e^5.94. Either is left to chance with less than 1e-6.
     """
     wrong = []
-    for method, (stiffness, friction) in product(STORED, ((1e5, 0.3), (1e6, 0.05))):
+    for method, (stiffness, friction) in product(METHODS, ((1e5, 0.3), (1e6, 0.05))):
         if not pd.isna(run_cell(method, stiffness, 10.0, friction, 1.0)["diverged_at_s"]):
             wrong.append((method, stiffness, "limit"))
         diverged = run_cell(method, stiffness, 10.0, friction, 4.4)["diverged_at_s"]
@@ -71,39 +38,14 @@ def test_cells_are_repeated():
 @pytest.mark.slow
 @pytest.mark.processor
 def test_energy_over_a_hundred_thousand_steps():
-    """The stored table, made again: kept by Newmark on the linear chain, never gained by implicit nor where damped.
-
-    What double precision does without walls, and explicit between them, is the same to the five digits that are stored:
-    of four starts that differ by 1e-15 it scatters by 1e-9 at most, explicit's by 2e-7. Single precision scatters by
-    0.07 % where nothing damps (four starts at each of both steps), 0.75 % where it does (five): that leaves 1.1 % and
-    9 % to chance. Between walls it is chaos, and what is left of the energy at the usual step scatters as
-    ``BETWEEN_WALLS`` says. Whether a run held is what is stored, but for Newmark's and imex32's largest step: undamped
-    they break late, in e^(11.18 +- 0.10) and e^(10.49 +- 0.21) steps of e^11.51, imex's in e^(10.43 +- 0.14).
-    """
-    stored = pd.read_csv(FOLDER / "energy.csv")
+    """Kept by Newmark on the linear chain, never gained by implicit nor where damped; the lagged contact flag gains."""
     table = run_energy()
-    smooth, single, explicit = ~table["walls"], table["method"] == "imex32", table["method"] == "explicit"
     damped = table["damping_time_s"] > 0.0
-    half_a_digit = 0.5e-4  # of 1.0000, relative
-    four, five = (reach((d, 1), (d, 1), chance=CHANCE / 4, measured=n) for d, n in ((0.0007, 7), (0.0075, 9)))
-    chaotic = ~smooth & ~damped & (table["time_step_s"] == table["method"].map(USUAL_STEP))
-    for method, scatter in BETWEEN_WALLS.items():
-        ratios = [part["ratio"][chaotic & (table["method"] == method)].item() for part in (table, stored)]
-        within = reach((scatter, 1), (scatter, 1), chance=CHANCE / len(BETWEEN_WALLS), measured=16)
-        assert abs(math.log(ratios[0] / ratios[1])) < within
-    compared = (
-        ((smooth & ~single) | explicit, 1.01 * half_a_digit), (smooth & single & ~damped, four),
-        (smooth & single & damped, five),
-    )  # fmt: skip
-    for which, within in compared:
-        np.testing.assert_allclose(table["ratio"][which], stored["ratio"][which], rtol=within)
-    late = ~smooth & ~damped & table["method"].isin(["newmark", "imex32"]) & ~chaotic
-    assert (np.isfinite(table["ratio"]) == np.isfinite(stored["ratio"]))[~late].all()
-    linear = table[smooth & ~damped].groupby("method")["ratio"]
+    linear = table[~table["walls"] & ~damped].groupby("method")["ratio"]
     assert linear.get_group("newmark").to_numpy() == pytest.approx(1.0, abs=1e-9)  # 1e-11 of four starts
     assert (table[damped]["ratio"] < 0.05).all()
     assert (table[table["method"] == "implicit"]["ratio"] < 1.0).all()
-    assert (table[table["walls"] & ~damped]["ratio"] > 1.0).any()  # the lagged flag feeds
+    assert (table[table["walls"] & ~damped]["ratio"] > 1.0).any()
 
 
 def test_a_run_of_the_study_stores_its_tables_and_figures(tmp_path, monkeypatch):
@@ -111,7 +53,7 @@ def test_a_run_of_the_study_stores_its_tables_and_figures(tmp_path, monkeypatch)
     monkeypatch.setattr(stability, "run_one_mass", lambda: pd.read_csv(FOLDER / "one_mass.csv"))
     monkeypatch.setattr(stability, "run_energy", lambda: pd.read_csv(FOLDER / "energy.csv"))
     monkeypatch.setattr(stability, "cells", lambda: [("imex", 1e6, 10.0, 0.05, ratio) for ratio in (1.0, 4.4)])
-    table = stability.run(Request(tmp_path, workers=Workers(jobs=1)))
+    table = stability.run(tmp_path)
     stored = pd.read_csv(tmp_path / "map.csv")
     assert table["diverged_at_s"].notna().tolist() == stored["diverged_at_s"].notna().tolist() == [False, True]
     steps = pd.read_csv(tmp_path / "steps.csv").set_index("ratio")

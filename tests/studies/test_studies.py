@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -287,7 +289,9 @@ def test_all_studies_that_ship_can_be_run(capsys: pytest.CaptureFixture[str], mo
     listed = capsys.readouterr().out
     assert not [name for name in (*shipped_names("studies"), *BUILT_IN) if f"  {name} " not in listed]
     for study_ in BUILT_IN.values():
-        assert callable(study_.run)
+        module, _, function = study_.function.partition(".")
+        parameters = inspect.signature(getattr(import_module(f"probe_agents.studies.{module}"), function)).parameters
+        assert {"output", "workers", *study_.options} == set(parameters)
 
 
 def test_options_take_the_place_of_the_file_s(tmp_path: Path) -> None:
@@ -302,10 +306,11 @@ def test_options_take_the_place_of_the_file_s(tmp_path: Path) -> None:
 def test_unknown_studies_and_options_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     cases = [
         ("robustnes", "robustness"), ("--no-list", "study --list"), ("turning --trials 3", "trials = 3"),
-        ("response --trials 3", "trials = '3'"), ("stability --fidelity fast", "fidelity = fast"),
+        ("response --trials 3", "trials = 3: this study"), ("stability --fidelity fast", "fidelity = fast"),
         ("claims --trials 0", "trials = 0 is outside the accepted range 1 to 1000"),
         ("best-round-trip --limit 97", "limit = 97 is outside the accepted range 1 to 96"),
         ("best-schedules --trials 0", "trials = 0 is outside"), ("vibration-map --trials 0", "trials = 0 is outside"),
+        ("learning --fidelity standard", "fidelity = standard: the recipe"),
         ("plc-constants --limit 0", "limit = 0 is outside"), ("response --limit 0", "limit = 0 is outside"),
     ]  # fmt: skip
     for arguments, message in cases:

@@ -28,7 +28,7 @@ class Study:
     list: bool = False
     """List the shipped studies and their questions."""
     limit: Annotated[int | None, hide_default()] = None
-    """Number of tubes, 0: all; response: groups of insertions; claims: a few cases. Default: as in the study."""
+    """Number of tubes, 0: all; of a built-in study what --list says. Default: as in the study."""
     policies: Annotated[tuple[str, ...], hide_default("NAME ...")] = ()
     """Policies instead of the study's, as in `evaluate`; the reference policies are always included."""
     fidelity: Annotated[tuple[str, ...], hide_default("NAME ...")] = ()
@@ -36,7 +36,7 @@ class Study:
     tube: File = None
     """Your plant (tube.toml); default: as in the study."""
     trials: Annotated[int | None, hide_default()] = None
-    """For shipped data: number of schedules or laws, or insertions per tube; claims: runs per case."""
+    """Number of runs, schedules or laws of a built-in study, as --list says."""
     output: File = None
     """Folder; stored episodes are not run again. Default: output/NAME."""
     workers: Annotated[Workers, tyro.conf.arg(name="")] = field(default_factory=Workers)
@@ -44,23 +44,23 @@ class Study:
     def run(self) -> None:
         """Run what is missing, store, draw, print."""
         from probe_agents.records.shipped import NoSuchFileError, file_or_shipped, shipped_names
-        from probe_agents.studies.builtin import BUILT_IN, Request
+        from probe_agents.studies.builtin import BUILT_IN
         from probe_agents.studies.spec import Study as Spec
         from probe_agents.terminal.tables import print_terms
 
         if self.list:
             names = shipped_names("studies")
             files = {name: Spec.from_toml(file_or_shipped("studies", name)).question for name in names}
-            print_terms(files | {name: study.question for name, study in BUILT_IN.items()})
+            print_terms(files | {name: study.summary for name, study in BUILT_IN.items()})
             return
         if not self.study:
             raise ValueError("study is missing: a file or a name from probe-env study --list")
         output = self.output or Path("output") / Path(self.study).stem
         if self.study in BUILT_IN and not Path(self.study).is_file():
-            for name in ("policies", "fidelity"):
-                if getattr(self, name):
-                    raise ValueError(f"{name} = {', '.join(getattr(self, name))}: this study has no such option")
-            BUILT_IN[self.study].run(Request(output, self.limit, self.trials, self.tube, self.workers))
+            BUILT_IN[self.study].run(
+                output, self.workers, limit=self.limit, trials=self.trials, tube=self.tube, policies=self.policies,
+                fidelity=self.fidelity,
+            )  # fmt: skip
             return
         try:
             path = file_or_shipped("studies", self.study)

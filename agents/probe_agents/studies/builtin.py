@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -14,63 +13,85 @@ from probe_agents.evaluation.workers import Workers
 from probe_agents.terminal.tables import print_table
 
 
-@dataclass(frozen=True)
-class Request:
-    """Options of a built-in study.
+class Count(NamedTuple):
+    """What an option of a built-in study counts, and its largest value."""
 
-    Attributes:
-        output: folder of the results; stored runs are not repeated.
-        limit: number of tubes, cases or groups; None: as for the shipped data.
-        trials: number of designs, laws or seeds; None: as for the shipped data.
-        tube: a plant's file or name; default: table 2.
-        workers: workers that run the simulations.
-    """
-
-    output: Path
-    limit: int | None = None
-    trials: int | None = None
-    tube: Path | None = None
-    workers: Workers = field(default_factory=Workers)
-
-    def reject(self, *names: str) -> None:
-        """Raise ValueError if an option is set that the study does not have."""
-        for name in names:
-            if getattr(self, name) is not None:
-                raise ValueError(f"{name} = {str(getattr(self, name))!r}: this study has no such option")
-
-    def budget(self, name: str, default: int, largest: int = 10**9) -> int:
-        """``limit`` or ``trials``, or its default; ValueError if it is not 1 to ``largest``."""
-        value: int = default if getattr(self, name) is None else getattr(self, name)
-        if not 1 <= value <= largest:
-            accepted = "1 and more" if largest == 10**9 else f"1 to {largest}"
-            raise ValueError(f"{name} = {value!r} is outside the accepted range {accepted}")
-        return value
+    what: str
+    largest: int = 10**9
 
 
 class BuiltIn(NamedTuple):
-    """A built-in study: the module whose ``run`` takes a ``Request``, and its question."""
+    """A built-in study.
 
-    module: str
+    Attributes:
+        function: ``module.function``, called with the output folder, the options that are set, and ``workers``.
+        question: question of the study, or what it makes.
+        options: options that it has; None for one that is not a number.
+    """
+
+    function: str
     question: str
+    options: Mapping[str, Count | None] = {}
 
-    def run(self, request: Request) -> Any:
-        """Run what is not stored, write and print the results; returns them."""
-        return import_module(f"probe_agents.studies.{self.module}").run(request)
+    @property
+    def summary(self) -> str:
+        """The question, and what its options count."""
+        counts = [f"--{name}: {count.what}" for name, count in self.options.items() if count]
+        return " ".join((self.question, *([f"({'; '.join(counts)})"] if counts else ())))
+
+    def run(self, output: Path, workers: Workers, **options: Any) -> Any:
+        """Run what is not stored, write and print the results; returns them.
+
+        Raises:
+            ValueError: an option is set that the study does not have, or is out of range; nothing was run.
+        """
+        chosen = {name: value for name, value in options.items() if value not in (None, ())}
+        for name, value in chosen.items():
+            if name not in self.options:
+                shown = ", ".join(value) if isinstance(value, tuple) else value
+                raise ValueError(f"{name} = {shown}: this study has no such option")
+            if (count := self.options[name]) and not 1 <= value <= count.largest:
+                accepted = "1 and more" if count.largest == Count("").largest else f"1 to {count.largest}"
+                raise ValueError(f"{name} = {value} is outside the accepted range {accepted} ({count.what})")
+        module, _, function = self.function.partition(".")
+        return getattr(import_module(f"probe_agents.studies.{module}"), function)(output, workers=workers, **chosen)
 
 
 BUILT_IN: Final[dict[str, BuiltIn]] = {
-    "claims": BuiltIn("claims", "Which claims of the published study does the simulator confirm?"),
-    "chart": BuiltIn("chart", "How accurate is each method, and at which cost?"),
-    "stability": BuiltIn("stability", "Which time steps are stable, by method, stiffness and length?"),
-    "predictability": BuiltIn(
-        "predictability", "How fast do perturbations grow, and how far ahead can a planner look?"
+    "claims": BuiltIn(
+        "claims.run", "Which claims of the published study does the simulator confirm?",
+        {"limit": Count("cases"), "trials": Count("runs of each case", 1000)},
     ),
-    "vibration-map": BuiltIn("shipped.vibration_map", "Makes the vibration map of the study's tubes or of your plant."),
-    "best-schedules": BuiltIn("shipped.best_schedules", "Searches best-constant and best-schedule."),
-    "best-round-trip": BuiltIn("shipped.best_round_trip", "Searches feed and air of insertion and withdrawal."),
-    "response": BuiltIn("shipped.response", "Makes the response model of calibrations."),
-    "plc-constants": BuiltIn("shipped.plc_constants", "Searches the constants of the PLC laws."),
-}
+    "chart": BuiltIn("chart.run", "How accurate is each method, and at which cost?"),
+    "stability": BuiltIn("stability.run", "Which time steps are stable, by method, stiffness and length?"),
+    "predictability": BuiltIn(
+        "predictability.run", "How fast do perturbations grow, and how far ahead can a planner look?"
+    ),
+    "vibration-map": BuiltIn(
+        "vibration_map.run", "Makes the vibration map of the study's tubes or of your plant.",
+        {"trials": Count("insertions in each tube", 100), "tube": None},
+    ),
+    "best-schedules": BuiltIn(
+        "searches.search_schedules", "Searches best-constant and best-schedule.",
+        {"trials": Count("schedules in each search"), "tube": None},
+    ),
+    "best-round-trip": BuiltIn(
+        "searches.search_round_trip", "Searches feed and air of insertion and withdrawal.",
+        {"limit": Count("training tubes", 96), "trials": Count("schedules"), "tube": None},
+    ),
+    "response": BuiltIn(
+        "response.run", "Makes the response model of calibrations.", {"limit": Count("groups of 32 insertions", 256)}
+    ),
+    "plc-constants": BuiltIn(
+        "searches.search_plc", "Searches the constants of the PLC laws.",
+        {"limit": Count("training tubes", 96), "trials": Count("laws on the map")},
+    ),
+    "learning": BuiltIn(
+        "readme.learn", "What does the README's recipe learn, in the surrogate or with --fidelity fast?",
+        {"fidelity": None, "limit": Count("test tubes", 48), "trials": Count("training seeds")},
+    ),
+    "speed": BuiltIn("readme.measure_speed", "How many environment steps a second does this machine run?"),
+}  # fmt: skip
 """Name -> study."""
 
 

@@ -21,11 +21,12 @@ import pandas as pd
 from scipy.stats import linregress
 
 from probe_agents.evaluation.statistics import Interval, mean_interval
+from probe_agents.evaluation.workers import HERE, Workers
 from probe_agents.policies.planner import ModelPredictivePolicy
 from probe_agents.records.drawing import GREY, GRID, PALETTE, save
 from probe_agents.records.manifest import write_manifest
 from probe_agents.records.store import Store
-from probe_agents.studies.builtin import Request, print_frame
+from probe_agents.studies.builtin import print_frame
 from probe_agents.studies.claims.cases import PERTURBATION
 from probe_agents.terminal.tables import print_line
 from probe_env import Scene, SimulatorBatch, TaskConfig
@@ -139,12 +140,10 @@ def growth(times: FloatArray, separations: FloatArray, saturation: float, pertur
     return row | {"r2": np.mean(r2) if r2 else math.nan, "saturation_m": saturation, "last_separation_m": last}
 
 
-def run(request: Request) -> pd.DataFrame:
+def run(output: Path, workers: Workers = HERE) -> pd.DataFrame:
     """Run the settings that are not stored; writes predictability.csv and predictability.png."""
-    request.reject("tube", "limit", "trials")
-    output = request.output
     store = Store(output / "predictability.csv", tuple(asdict(Setting())))
-    table = store.fill({astuple(s): s for s in SETTINGS}, Setting.rows, "setting", request.workers.jobs)
+    table = store.fill({astuple(s): s for s in SETTINGS}, Setting.rows, "setting", workers.jobs)
     seeds = range(Setting.members)
     write_manifest(output, ["predictability.csv"], seeds=seeds, commits=table["commit"])
     draw(table, output / "predictability.png")

@@ -27,10 +27,11 @@ from matplotlib.colors import ListedColormap
 from matplotlib.patches import Patch
 from tqdm import tqdm
 
+from probe_agents.evaluation.workers import HERE, Workers
 from probe_agents.records.atomic import write_atomically
 from probe_agents.records.drawing import GREY, save
 from probe_agents.records.manifest import write_manifest
-from probe_agents.studies.builtin import Request, print_frame
+from probe_agents.studies.builtin import print_frame
 from probe_agents.studies.chart.ensembles import STIFFNESSES
 from probe_agents.terminal.tables import print_line
 from probe_env import Scene, SimulationError, Simulator, StabilityWarning
@@ -76,10 +77,9 @@ ENERGY_STEPS: Final = {name: CHOSEN.get(name, (method.usual_step, 1.8 / OMEGA)) 
 DAMPING: Final = (0.0, 5e-5)  # [s]
 
 
-def run(request: Request) -> pd.DataFrame:
+def run(output: Path, workers: Workers = HERE) -> pd.DataFrame:
     """Run map, one mass and passive chains; writes map.csv, steps.csv, one_mass.csv, energy.csv and map.png."""
-    request.reject("tube", "limit", "trials")
-    output, table = request.output, run_map(cells(), request.workers.jobs)
+    table = run_map(cells(), workers.jobs)
     steps = by_step(table)
     tables = {"map": table, "steps": steps, "one_mass": run_one_mass(), "energy": run_energy()}
     for name, part in tables.items():

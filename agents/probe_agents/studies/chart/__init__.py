@@ -12,12 +12,13 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 
+from probe_agents.evaluation.workers import HERE, Workers
 from probe_agents.records.atomic import write_atomically
 from probe_agents.records.drawing import GREY, GRID, save
 from probe_agents.records.manifest import CHECKOUT, write_manifest
 from probe_agents.records.store import COLUMNS, Store, as_csv
 from probe_agents.records.tables import Columns, read_csv
-from probe_agents.studies.builtin import Request, print_frame
+from probe_agents.studies.builtin import print_frame
 from probe_agents.studies.chart import errors
 from probe_agents.studies.chart.ensembles import CONVERGED, INSERTIONS, SETTINGS, Insertion, Setting
 from probe_agents.studies.chart.smooth import cases, orders, resolved, run_smooth
@@ -40,24 +41,23 @@ PANELS = {"radial_rms_m": "radial rms", "radial_p99_m": "radial p99", "lift_off_
 PANELS["axial_peak_hz"] = "axial peak frequency"
 
 
-def run(request: Request) -> None:
+def run(output: Path, workers: Workers = HERE) -> None:
     """Run what is not stored in the output folder, then the timing; writes tables and figures.
 
     Raises:
         FileError: a stored file is damaged or of another commit; nothing was run.
     """
-    request.reject("tube", "limit", "trials")
     for name, columns in TABLES.items():
-        path = request.output / f"{name}.csv"
+        path = output / f"{name}.csv"
         if path.exists():
             read_csv(path, columns)
-    ensembles = Store(request.output / "ensembles.csv", (*Setting().key, "member"))
+    ensembles = Store(output / "ensembles.csv", (*Setting().key, "member"))
     ensembles.fill({setting.last: setting for setting in SETTINGS}, Setting.rows, "setting")
-    insertions = Store(request.output / "insertions.csv", (*CONVERGED.key, "member", "from_m"))
+    insertions = Store(output / "insertions.csv", (*CONVERGED.key, "member", "from_m"))
     insertions.fill({insertion.last: insertion for insertion in INSERTIONS}, Insertion.rows, "insertion")
-    run_smooth(request.output)
-    errors.run_costs(request.output)
-    draw_chart(request.output)
+    run_smooth(output)
+    errors.run_costs(output)
+    draw_chart(output)
 
 
 def draw_chart(output: Path) -> None:

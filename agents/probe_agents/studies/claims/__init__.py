@@ -13,12 +13,13 @@ import numpy as np
 import pandas as pd
 from scipy.stats import mannwhitneyu
 
+from probe_agents.evaluation.workers import HERE, Workers
 from probe_agents.records.atomic import write_atomically
 from probe_agents.records.drawing import BLUE, GRID, MM, save
 from probe_agents.records.manifest import write_manifest
-from probe_agents.studies.builtin import Request, print_frame
+from probe_agents.studies.builtin import print_frame
 from probe_agents.studies.claims import cases
-from probe_agents.studies.claims.cases import PROBES, SUBSET, TRIPS, USUAL_FRICTION, insertion_of, run_cases, trip
+from probe_agents.studies.claims.cases import CASES, PROBES, TRIPS, USUAL_FRICTION, insertion_of, run_cases, trip
 from probe_agents.terminal.tables import print_line
 from probe_env.arrays import FloatArray
 
@@ -36,24 +37,22 @@ TUBE_BORE: Final = 24.2e-3  # [m]
 Test = Callable[[FloatArray, FloatArray], str]
 
 
-def run(request: Request) -> pd.DataFrame:
+def run(output: Path, limit: int | None = None, trials: int = 1, workers: Workers = HERE) -> pd.DataFrame:
     """Run the cases that are not stored; writes ensemble.csv, claims.csv (``claims_of``) and growth.png.
 
-    ``trials`` is the number of runs of a case; with a ``limit`` only the cases of ``SUBSET`` are run.
+    ``trials`` is the number of runs of a case, ``limit`` the number of cases, the most telling first; default: all.
 
     Returns:
         the table of claims.
     """
-    request.reject("tube")
-    members, output, duration = request.budget("trials", 1, 1000), request.output, cases.DURATION
-    names = () if request.limit is None else SUBSET
-    table = run_cases(output, members, names, request.workers.jobs)
+    duration = cases.DURATION
+    table = run_cases(output, trials, CASES[:limit], workers.jobs)
     claims = claims_of(table)
     write_atomically(output / "claims.csv", claims.to_csv(index=False, float_format="%.4g"))
     files = ("ensemble.csv", "claims.csv")
-    write_manifest(output, files, commits=table["commit"], members=members, duration_s=duration)
+    write_manifest(output, files, commits=table["commit"], members=trials, duration_s=duration)
     columns = ("claim", "figure", "case", "statistic", "mean", "least", "greatest", "reference_mean", "holds")
-    print_frame(f"Claims: {members} run(s) per case, {duration:g} s each", claims, columns, texts=4)
+    print_frame(f"Claims: {trials} run(s) per case, {duration:g} s each", claims, columns, texts=4)
     complete = Ensemble(table).has(*(f"l{length}" for length in GROWTH))
     if complete:
         draw_growth(table, output / "growth.png")

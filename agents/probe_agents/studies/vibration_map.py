@@ -13,14 +13,14 @@ import pandas as pd
 
 from probe_agents.evaluation.folder import PROFILE, PROFILE_NEWER
 from probe_agents.evaluation.plan import Plan, run_plan
+from probe_agents.evaluation.workers import HERE, Workers
 from probe_agents.policies.cases import plant_at
 from probe_agents.policies.fixed import FixedPolicy
 from probe_agents.records.atomic import write_atomically
 from probe_agents.records.manifest import origin, write_json
 from probe_agents.records.shipped import file_or_shipped, ships
 from probe_agents.records.tables import read_parquet
-from probe_agents.studies.builtin import Request
-from probe_agents.studies.shipped.network import fit_network
+from probe_agents.studies.network import fit_network
 from probe_agents.terminal.tables import print_line
 from probe_env import Scene, load_contexts
 from probe_env.arrays import FloatArray
@@ -36,8 +36,6 @@ SEGMENT: Final = {"displacement": 3.0, "snr": 6.0}
 SMEARED: Final = {"displacement": 0.0, "snr": 3.0}
 """Vibration measure -> first part of a segment that is not fitted, as it depends on the segment before [m]."""
 EPOCHS, BATCH = 300, 512
-SEEDS: Final = 2
-"""Insertions in each of the 96 tubes."""
 HELD_OUT: Final = 12
 """Number of test tubes, the first of the training list: two of each helix diameter."""
 LEAST_SPREAD: Final = 0.05
@@ -98,20 +96,19 @@ def fit_map(
     return fitted, {"explained_variance": explained, "mean_absolute_error_decades": float(np.abs(error).mean())}
 
 
-def run(request: Request) -> Path:
-    """Simulate training tubes (resumable), fit the map, store it in ``target_of``; ``trials``: insertions per tube."""
+def run(output: Path, trials: int = 2, tube: Path | None = None, workers: Workers = HERE) -> Path:
+    """Simulate ``trials`` insertions in each training tube (resumable), fit the map, store it in ``target_of``."""
     import_module("torch")  # fails before half an hour of simulation
 
-    request.reject("limit")
-    seeds, target, plant = range(request.budget("trials", SEEDS, 100)), target_of(request), plant_at(request.tube)
+    seeds, target, plant = range(trials), target_of(output, tube), plant_at(tube)
     changes = {"lost_drive_periods": 1000}  # continue without drive
     config = TaskConfig().model_copy(update=changes) if plant is None else plant.configured(changes=changes)
     rms_limit(config)  # fails for a measure without a map
     contexts = load_contexts("train") if plant is None else plant.contexts(SPLIT_SIZES["train"])
     fast = resolve_fidelity("fast", config.scene)
     plan = Plan({"wandering": Wandering(config)}, contexts, seeds, config, fast)
-    episodes = run_plan(plan, request.output, workers=request.workers)
-    profile = read_parquet(request.output / "profile.parquet", PROFILE, PROFILE_NEWER)
+    episodes = run_plan(plan, output, workers=workers)
+    profile = read_parquet(output / "profile.parquet", PROFILE, PROFILE_NEWER)
     tubes = pd.DataFrame([tube.model_dump() for tube in contexts])[list(CONTEXT)]
     profile[list(CONTEXT)] = tubes.to_numpy()[profile["context"]]
     fitted, quality = fit_map(profile, scene=plant.scene if plant else None, measure=config.vibration_measure)
@@ -123,13 +120,12 @@ def run(request: Request) -> Path:
     return target
 
 
-def target_of(request: Request) -> Path:
+def target_of(output: Path, tube: Path | None) -> Path:
     """File of the map: NAME-map.npz next to a custom tube, in the output folder for a shipped one."""
-    target = request.output / "vibration-map.npz"
-    if request.tube is None:
+    target = output / "vibration-map.npz"
+    if tube is None:
         return target
-    if not ships("tubes", file_or_shipped("tubes", request.tube)):
-        return map_file(request.tube)
-    note = f"probe-env: note: {request.tube} is shipped with its map; the new map is {target}"
-    print(escaped(note), file=sys.stderr)
+    if not ships("tubes", file_or_shipped("tubes", tube)):
+        return map_file(tube)
+    print(escaped(f"probe-env: note: {tube} is shipped with its map; the new map is {target}"), file=sys.stderr)
     return target

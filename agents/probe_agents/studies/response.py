@@ -14,14 +14,14 @@ from typing import Final, NamedTuple
 import numpy as np
 from scipy.stats import qmc
 
+from probe_agents.evaluation.workers import HERE, Workers
 from probe_agents.plant.inference import LEAST_METRES
 from probe_agents.plant.logs import Log
 from probe_agents.plant.prior import FRICTION, STIFFNESS
 from probe_agents.plant.response import CHANNELS, INPUTS, Metres, Response, inputs_of, metres_of, observed
 from probe_agents.records.atomic import write_atomically
 from probe_agents.records.manifest import origin, write_json
-from probe_agents.studies.builtin import Request
-from probe_agents.studies.shipped.network import fit_network
+from probe_agents.studies.network import fit_network
 from probe_agents.terminal.tables import print_line, print_terms
 from probe_agents.terminal.work import Work, announce
 from probe_env import Context, Fidelity, Plant, Scene
@@ -60,8 +60,6 @@ RECORDED: Final = {
 }
 """Channel of a log -> statistic of a window, and noise of the sensor (added in squares)."""
 EPOCHS, BATCH = 150, 1024
-GROUPS: Final = 15
-"""Number of groups of the shipped response."""
 FOLDS: Final = 4
 REACH: Final = (20.0, 1.5)
 """Correlation lengths of residuals [m]: of an insertion's level, and of a segment."""
@@ -75,21 +73,14 @@ Layers = tuple[tuple[FloatArray, FloatArray], ...]
 _ALL: Final = list(range(len(CHANNELS)))
 
 
-def run(request: Request) -> Response:
-    """Simulate the insertions (resumable) and fit; writes response.npz and response.json.
-
-    ``limit`` is the number of groups of 32 insertions.
-
-    Raises:
-        ValueError: the number of groups is out of range.
-    """
+def run(output: Path, limit: int = 15, workers: Workers = HERE) -> Response:
+    """Simulate ``limit`` groups of 32 insertions (resumable) and fit; writes response.npz and response.json."""
     import_module("torch")  # fails before hours of simulation
 
-    request.reject("trials", "tube")
-    parts = list(make_bank(request.budget("limit", GROUPS, 256), request.output))
+    parts = list(make_bank(limit, output))
     bank = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     response, quality = fit_response(bank)
-    target = request.output / "response.npz"
+    target = output / "response.npz"
     response.save(target)
     setting = {"insertions": len(np.unique(bank["specimen"])), "metres": len(bank["length"]), "fidelity": FIDELITY}
     write_json(target.with_suffix(".json"), origin() | setting | quality)

@@ -1,0 +1,171 @@
+"""Measured figures of the README: learning curve of its recipe, environment steps per second.
+
+``python -m probe_agents.studies.readme`` prints its tables from the stored results; a test compares them.
+"""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import time
+from pathlib import Path
+from typing import Final
+
+import gymnasium as gym
+import numpy as np
+import pandas as pd
+
+from probe_agents.evaluation.plan import Plan, run_plan
+from probe_agents.evaluation.workers import HERE, Workers
+from probe_agents.policies.catalogue import named_policies
+from probe_agents.records.atomic import write_atomically
+from probe_agents.records.manifest import CHECKOUT, write_json, write_manifest
+from probe_agents.terminal.tables import print_terms
+from probe_env import TaskConfig, load_contexts
+from probe_env.fidelity import resolve_fidelity
+
+RESULTS: Final = CHECKOUT / "results"
+POLICIES: Final = {
+    "constant": "0.2 m/s and 63 m³/h, as in the study",
+    "pi": "PI control of the measured vibration",
+    "best-schedule": "best schedule over length for all training tubes",
+    "plc-integral": "PLC law of twelve constants: length, root tension and noise in, feed and air out",
+    "ppo": "PPO, five training seeds",
+    "student": "networks that imitate `plc-integral`, five training seeds",
+    "planner": "model-predictive control on a copy of the simulator: an upper bound for feedback",
+}
+COLUMNS: Final = {
+    "reward": ("reward", 1.0, ".1f"),
+    "time [s]": ("inspection_time_s", 1.0, ".0f"),
+    "within the limit [%]": ("share_within_limit", 100.0, ".1f"),
+    "radial rms [mm]": ("radial_rms_m", 1e3, ".3f"),
+    "air [m³]": ("air_m3", 1.0, ".1f"),
+}
+"""Header -> KPI, factor, format."""
+STEPS: Final = {"surrogate": (50_000, 200_000, 1_000_000, 3_000_000), "fast": (16_384,)}
+"""Fidelity of training -> steps after which the agents are tested."""
+ENV: Final = "probe_env/IncrementalInsertion-v1"
+RIVALS: Final = ("constant", "pi", "best-schedule", "plc-integral")
+SPEEDS: Final = (("fast", 1, 60), ("fast", 16, 60), ("fast", 64, 40), ("surrogate", 64, 300))
+"""Fidelity, number of environments, steps of a run."""
+RUNS: Final = 5
+
+
+def results_table(results: Path = RESULTS) -> str:
+    """The README's results in Markdown; a method with several training seeds NAME@K has their mean."""
+    summary = pd.read_csv(results / "evaluation" / "summary.csv")
+    summary["policy"] = summary["policy"].str.replace(r"@\d+$", "", regex=True)
+    means = summary.groupby(["policy", "kpi"])["mean"].mean()
+    lines = [f"| policy | description | {' | '.join(COLUMNS)} |", "|---|---|" + "---:|" * len(COLUMNS)]
+    for name, description in POLICIES.items():
+        cells = (f"{means[name, kpi] * factor:{style}}" for kpi, factor, style in COLUMNS.values())
+        lines.append(f"| `{name}` | {description} | {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def learning_table(results: Path = RESULTS) -> str:
+    """The README's table of the recipe in the surrogate, in Markdown."""
+    rows = pd.read_csv(results / "learning" / "surrogate" / "curve.csv")
+    rivals, trained = rows[rows["seed"].isna()].set_index("policy")["reward"], rows[rows["seed"].notna()]
+    lines = ["| steps | reward, mean of five seeds | lowest and highest seed |", "|---:|---:|---:|"]
+    for steps, reward in trained.groupby("steps")["reward"]:
+        lines.append(f"| {steps:,.0f} | {reward.mean():.1f} | {reward.min():.1f} to {reward.max():.1f} |")
+    others = ", ".join(f"`{name}` {rivals[name]:.1f}" for name in RIVALS)
+    return "\n".join([*lines, "", f"In the same 24 tubes: {others}."])
+
+
+def speed_row(results: Path = RESULTS) -> str:
+    """The README's row of speeds in Markdown, medians to two digits."""
+    stored = json.loads((results / "bench" / "speed.json").read_text())
+    one, sixteen, many, surrogate = (f"{float(f'{np.median(runs):.2g}'):,.0f}" for runs in stored.values())
+    return (
+        "| speed | environment steps per second on two cores in the first minute of an insertion:"
+        f" {one} at `fast` with one probe, {sixteen} with 16,"
+        f" {many} with 64; {surrogate} in the `surrogate` with 64 |"
+    )
+
+
+def learn(
+    output: Path, fidelity: tuple[str, ...] = ("surrogate",), limit: int = 24, trials: int = 5, workers: Workers = HERE
+) -> pd.DataFrame:
+    """Train the README's recipe with ``trials`` seeds and test it at ``fast``; writes curve.csv and the models.
+
+    Returns:
+        means over the test tubes of every seed and number of steps, and of ``RIVALS``.
+
+    Raises:
+        ValueError: not one fidelity of ``STEPS``.
+    """
+    from stable_baselines3 import PPO
+
+    from probe_agents.policies.bundle import from_sb3
+    from probe_agents.vec_env import ProbeVecEnv
+
+    if len(fidelity) != 1 or fidelity[0] not in STEPS:
+        raise ValueError(f"fidelity = {', '.join(fidelity)}: the recipe is trained in one of {', '.join(STEPS)}")
+    (output / "models").mkdir(parents=True, exist_ok=True)
+    steps, seeds, config = STEPS[fidelity[0]], range(trials), TaskConfig().full_observation
+    with multiprocessing.get_context("spawn").Pool(workers.jobs) as pool:
+        seconds = pool.starmap(train, [(fidelity[0], seed, steps, output / "models") for seed in seeds], chunksize=1)
+    rows = pd.DataFrame(
+        {"policy": f"{seed} {total}", "seed": seed, "steps": total, "seconds": times[k]}
+        for seed, times in zip(seeds, seconds, strict=True)
+        for k, total in enumerate(steps)
+    )
+    policies, trained = named_policies(RIVALS, config), ProbeVecEnv(ENV, 1, fidelity="surrogate").config
+    for row in rows.to_dict("records"):
+        model = PPO.load(output / "models" / f"{row['seed']}-{row['steps']}", device="cpu")
+        policies[row["policy"]] = from_sb3(model, trained)
+    plan = Plan(policies, load_contexts("test")[:limit], (0,), config, resolve_fidelity("fast", config.scene))
+    means = run_plan(plan, None, batch=64).groupby("policy", sort=False)
+    figures = means[["reward", "inspection_time_s", "share_within_limit", "lost_drive"]].mean().reset_index()
+    table = figures.merge(rows, how="left", on="policy")
+    write_atomically(output / "curve.csv", table.to_csv(index=False, float_format="%.6g"))
+    write_manifest(output, ("curve.csv",), seeds=seeds)
+    print(table.to_string())
+    return table
+
+
+def train(fidelity: str, seed: int, steps: tuple[int, ...], folder: Path) -> list[float]:
+    """Train a seed and save the model SEED-STEPS after each number of steps; seconds of training until each."""
+    import torch
+    from stable_baselines3 import PPO
+
+    from probe_agents.vec_env import ProbeVecEnv
+
+    torch.set_num_threads(1)
+    env = ProbeVecEnv(ENV, 64, fidelity=fidelity, contexts="train")
+    model = PPO("MlpPolicy", env, n_steps=32, batch_size=256, device="cpu", seed=seed)
+    begin, seconds = time.perf_counter(), []
+    for total in steps:
+        model.learn(total - model.num_timesteps, reset_num_timesteps=False)
+        seconds.append(time.perf_counter() - begin)
+        model.save(folder / f"{seed}-{total}")
+        print(f"{fidelity}, seed {seed}: {total} steps, {seconds[-1]:.0f} s", flush=True)
+    return seconds
+
+
+def measure_speed(output: Path, workers: Workers = HERE) -> dict[str, list[float]]:
+    """Measure environment steps per second in ``RUNS`` runs of ``SPEEDS``; writes speed.json."""
+    runs = [[steps_per_second(*case) for case in SPEEDS] for _ in range(RUNS)]
+    measured = {f"{fidelity}, {n}": [run[k] for run in runs] for k, (fidelity, n, _) in enumerate(SPEEDS)}
+    write_json(output / "speed.json", measured)
+    write_manifest(output, ("speed.json",), seeds=(0,))
+    print_terms({name: f"{np.median(speeds):,.0f} environment steps per second" for name, speeds in measured.items()})
+    return measured
+
+
+def steps_per_second(fidelity: str, count: int, steps: int) -> float:
+    """Steps of all environments per second from the start of an insertion, after one step that compiles."""
+    env = gym.make_vec("probe_env/Insertion-v1", num_envs=count, fidelity=fidelity, contexts="train")
+    env.reset(seed=0)
+    actions = np.zeros((count, 2), dtype=np.float32)
+    env.step(actions)
+    begin = time.perf_counter()
+    for _ in range(steps):
+        env.step(actions)
+    return count * steps / (time.perf_counter() - begin)
+
+
+if __name__ == "__main__":
+    print(results_table(), learning_table(), speed_row(), sep="\n\n")

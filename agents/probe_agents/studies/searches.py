@@ -1,0 +1,462 @@
+"""Searches of the shipped schedules and of the constants of the PLC laws.
+
+Searches on the vibration map are deterministic and take minutes; an interrupted one starts again. Simulated episodes
+are stored and not run again.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from itertools import product
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import optuna
+import pandas as pd
+from cmaes import CMA
+from tqdm import tqdm
+
+from probe_agents.evaluation.plan import Plan, run_plan
+from probe_agents.evaluation.statistics import a90_95, paired_difference
+from probe_agents.evaluation.workers import HERE, Workers
+from probe_agents.plant.recommendation import safe_air
+from probe_agents.policies.cases import EvaluationCase, load_case, map_of, plant_at
+from probe_agents.policies.fixed import STUDY_AIR, FixedPolicy, Scheduled
+from probe_agents.policies.on_map import FIRST, least_air
+from probe_agents.policies.plc_law import Constants, PlcIntegral, PlcProportional, Trim
+from probe_agents.policies.policy import Policy
+from probe_agents.policies.wrappers import RoundTripPolicy, insertion_task
+from probe_agents.records.atomic import write_atomically
+from probe_agents.records.manifest import commit, origin, write_json
+from probe_agents.studies.builtin import print_frame
+from probe_agents.terminal.tables import print_line
+from probe_env import Context, Plant
+from probe_env.arrays import FloatArray
+from probe_env.envs.contexts import HELIX_DIAMETERS
+from probe_env.envs.task import TaskConfig, metre_reward, uninspected_weight, value_at
+from probe_env.envs.task.scales import RF_FLOOR
+from probe_env.envs.vibration_map import CONTEXT, VibrationMap, check_measure, expected_cost, feeds, stored_map
+from probe_env.fidelity import resolve_fidelity
+from probe_env.physics.closed_forms import sliding_tension
+from probe_env.schedule import AIR, CSV_COMMENT, FEED, INSERTION, WITHDRAWAL, Schedule
+
+
+def plan_of(policies: Mapping[str, Policy], case: EvaluationCase) -> Plan:
+    """The plan of policies on the tubes of a case, at ``fast``."""
+    config = case.config.full_observation
+    fidelity = resolve_fidelity("fast", config.scene, round_trip=config.returns)
+    return Plan(policies, case.contexts, config=config, fidelity=fidelity)
+
+
+def write_search(output: Path, name: str, trials: pd.DataFrame, record: Mapping[str, Any], digits: int = 6) -> None:
+    """Write the trials of a search, NAME-trials.csv, and what it found, NAME.json."""
+    write_atomically(output / f"{name}-trials.csv", trials.to_csv(index=False, float_format=f"%.{digits}g"))
+    write_json(output / f"{name}.json", record)
+
+
+def search(
+    rewards_of: Callable[[FloatArray], Sequence[float]], start: Sequence[float] | FloatArray, generations: int,
+    name: str, spread: float = 0.2, population: int = 16,
+) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
+    """CMA-ES in the unit cube: points (n, d), their rewards (n,) and the final mean (d,).
+
+    The search stops when it has converged. A longer search starts with the points of a shorter one.
+
+    Args:
+        rewards_of: rewards (population,) of the points (population, d) of a generation.
+        start: start of the search (d,).
+        generations: maximum number of generations.
+        name: name in the progress bar.
+        spread: first standard deviation of the points, as a fraction of the ranges.
+        population: points per generation.
+    """
+    bounds = np.tile([0.0, 1.0], (len(start), 1))
+    optimizer = CMA(np.array(start), sigma=spread, bounds=bounds, seed=0, population_size=population)
+    points: list[FloatArray] = []
+    rewards: list[float] = []
+    for _ in tqdm(range(generations), desc=name, unit="generation"):
+        if optimizer.should_stop():
+            break
+        generation = np.array([optimizer.ask() for _ in range(population)])
+        gained = rewards_of(generation)
+        optimizer.tell([(point, -value) for point, value in zip(generation, gained, strict=True)])
+        points += [*generation]
+        rewards += gained
+    return np.array(points), np.array(rewards), optimizer.mean
+
+
+# Schedules over length, on the vibration map
+
+KNOTS: Final = (5.0, 12.0, 19.0, 26.0, 33.0, 42.0, 60.0)  # [m] inserted length
+AIR_KNOTS: Final = (5.0, 19.0, 26.0, 33.0, 60.0)
+POPULATION: Final = 16
+
+
+@dataclass(frozen=True)
+class Family:
+    """A family of schedules: feed speeds (logarithmic) and air supplies at knots, each scaled to [0, 1].
+
+    Attributes:
+        knots, air_knots: lengths [m] in a helix of 60 m, scaled for others; a single knot is a constant.
+        start: start of the search.
+        helix_diameter: helix diameter of its tubes [m]; None: all.
+    """
+
+    knots: tuple[float, ...]
+    air_knots: tuple[float, ...]
+    start: tuple[float, ...]
+    helix_diameter: float | None = None
+
+    def schedule(self, x: Sequence[float] | FloatArray, config: TaskConfig) -> Schedule:
+        """The schedule of a point of the search space."""
+        low, high = np.log(feeds(config))
+        feed = np.exp(value_at(np.array(x[: len(self.knots)]), (low, high)))
+        air = value_at(np.array(x[len(self.knots) :]), (least_air(config), config.air_supply_rates[1]))
+        ratio = (config.scene.tube.helix_length - FIRST) / (KNOTS[-1] - FIRST)
+        knots, air_knots = ([FIRST + (knot - FIRST) * ratio for knot in part] for part in (self.knots, self.air_knots))
+        lengths = sorted({*knots, *air_knots})
+        feeds_at, air_at = (tuple(map(float, np.interp(lengths, *pair))) for pair in ((knots, feed), (air_knots, air)))
+        return Schedule("inserted_length", "linear", tuple(lengths), feeds_at, air_at)
+
+    def tubes(self, case: EvaluationCase) -> EvaluationCase:
+        """The case with the tubes of its helix diameter."""
+        return case._replace(
+            contexts=tuple(c for c in case.contexts if self.helix_diameter in (None, c.helix_diameter))
+        )
+
+
+_START: Final = (0.95, 0.9, 0.6, 0.6, 0.55, 0.45, 0.35, 0.2, 0.5, 0.9, 0.95, 0.95)
+OF_A_PLANT: Final = {
+    "best-constant": Family((5.0,), (5.0,), (0.45, 0.7)),
+    "best-schedule": Family(KNOTS, AIR_KNOTS, _START),
+}
+"""Families that are searched for a plant."""
+FAMILIES: Final = OF_A_PLANT | {f"best-schedule-d{d:g}": Family(KNOTS, AIR_KNOTS, _START, d) for d in HELIX_DIAMETERS}
+
+
+class MapCost:
+    """Expected reward of schedules in tubes by a vibration map."""
+
+    def __init__(self, tubes: tuple[Context, ...], config: TaskConfig, vibration: VibrationMap) -> None:
+        self.config, self.vibration = config, vibration
+        middles = np.arange(FIRST + 0.5, config.scene.tube.helix_length, 1.0)  # of metres [m]
+        self.count, self.lengths = len(middles), np.tile(middles, len(tubes))
+        self.tubes = np.repeat(_values(tubes), len(middles), axis=0)
+
+    def reward(self, schedule: Schedule) -> float:
+        """Mean reward of an insertion, without the terms that the map lacks (jerk, lost drive)."""
+        feed, air = schedule.at(self.lengths)
+        predicted = self.vibration.predict(self.lengths, feed, air, self.tubes, self.config.scene)
+        cost = expected_cost(*predicted, feed, air, self.config)
+        return float(self.count * metre_reward(self.config, cost.mean()))
+
+
+def _values(tubes: Sequence[Context]) -> FloatArray:
+    return np.array([[getattr(tube, name) for name in CONTEXT] for tube in tubes])
+
+
+def search_schedules(output: Path, trials: int = 1200, tube: Path | None = None, workers: Workers = HERE) -> None:
+    """Search best-constant and best-schedule (and one per helix diameter, without a plant) on the training tubes.
+
+    ``trials`` is the number of schedules in each search. Each best schedule is simulated in the validation tubes.
+
+    Raises:
+        ValueError: the map has another vibration measure.
+        FileError: a stored episode is damaged, or of another task; nothing was run.
+    """
+    plant = plant_at(tube)
+    vibration = map_of(tube, plant)
+    if plant is not None and vibration is stored_map():
+        print_line(f"{tube} has no map: the shipped map is used, with table 2's bore and air")
+    families = FAMILIES if plant is None else OF_A_PLANT
+    for name in families:
+        search_schedule(name, output, trials, vibration, plant, workers)
+    files = ", ".join(f"{name}.csv" for name in families)
+    print_line(f"written: {output}/ ({files}: schedules to evaluate; NAME-trials.csv, NAME.json)")
+
+
+def search_schedule(
+    name: str, output: Path, trials: int, vibration: VibrationMap, plant: Plant | None, workers: Workers = HERE
+) -> Schedule:
+    """Search a family; writes NAME.csv (the schedule), NAME-trials.csv and NAME.json."""
+    family = FAMILIES[name]
+    train, validation = (family.tubes(load_case(plant, split)) for split in ("train", "validation"))
+    config, folder = train.config.full_observation, output / "simulated" / name
+    check_measure(vibration, config)
+    first = plan_of({name: Scheduled(config, family.schedule(family.start, config))}, validation)
+    first.folder(folder).check("episodes.jsonl")
+    cost = MapCost(train.contexts, config, vibration)
+    points, rewards, _ = search(
+        lambda points: [cost.reward(family.schedule(point, config)) for point in points],
+        family.start, -(-trials // POPULATION), name,
+    )  # fmt: skip
+    best = family.schedule(points[int(rewards.argmax())], config)
+    table = pd.DataFrame(points, columns=[f"x{k}" for k in range(len(family.start))]).assign(reward=rewards)
+    simulated = run_plan(plan_of({name: Scheduled(config, best)}, validation), folder, workers=workers)
+    setting = {"training_tubes": len(train.contexts), "trials": len(table), "reward_by_map": float(rewards.max())}
+    setting |= {"validation_tubes": len(validation.contexts), "reward_simulated": float(simulated["reward"].mean())}
+    write_atomically(output / f"{name}.csv", best.to_csv())
+    write_search(output, name, table, origin(commits=[*simulated["commit"], commit()]) | setting, digits=4)
+    print(f"{name}: " + ", ".join(f"{key} {value:.4g}" for key, value in setting.items()))
+    print(best.to_csv())
+    return best
+
+
+# Feed and air of insertion and withdrawal, in simulation: the vibration map does not cover withdrawal
+
+ROUND_TRIP: Final = "best-both-ways"
+COLUMNS: Final = (*INSERTION.values(), *WITHDRAWAL.values())
+"""Search parameters: columns of a schedule file."""
+STARTUP_TRIALS: Final = 5
+"""Random trials before the Gaussian process is used, including ``starts``."""
+KPIS: Final = ("reward", "inspection_time_s", "a90_percent_wall")
+BASELINE: Final = "fastest"
+SLOWEST: Final = 0.25
+"""Fraction of the highest feed: slower round trips take most of the time limit."""
+Numbers = Mapping[str, float]  # column of ``COLUMNS`` -> value [m/s], [m3/h]
+Space = Mapping[str, tuple[float, float]]  # column of ``COLUMNS`` -> search range
+
+
+def ranges(config: TaskConfig, tubes: Sequence[Context]) -> Space:
+    """Search ranges, with air that is safe in all tubes, see ``safe_air``."""
+    least, most = (3600.0 * air for air in config.air_supply_rates)
+    feeds = max(SLOWEST * config.feed_speeds[1], config.feed_speeds[0]), config.feed_speeds[1]
+    air_in, air_back = safe_air(config, tubes, feeds)
+    return dict(zip(COLUMNS, (feeds, (air_in, most), feeds, (least, air_back)), strict=True))
+
+
+def starts(config: TaskConfig, space: Space) -> list[Numbers]:
+    """First trials: highest feed for both passes, and half of it for the withdrawal, with the study's air."""
+    fast, air = config.feed_speeds[1], 3600.0 * STUDY_AIR
+    low, high = np.array(list(space.values())).T
+    rows = np.clip([(fast, air, fast, air), (fast, air, 0.5 * fast, air)], low, high).tolist()
+    return [rounded_numbers(config, dict(zip(COLUMNS, row, strict=True))) for row in rows]
+
+
+def rounded_numbers(config: TaskConfig, numbers: Numbers) -> dict[str, float]:
+    """Feed to three digits and air in whole m3/h, as the feed device and the supply can set them."""
+    rounded: dict[str, float] = {}
+    for columns in (INSERTION, WITHDRAWAL):
+        targets = round(numbers[columns[FEED]], 3), round(numbers[columns[AIR]]) / 3600.0
+        feed, air = (float(value) for value in config.feasible(*targets)[0])
+        rounded |= {columns[FEED]: round(feed, 9), columns[AIR]: round(3600.0 * air, 9)}
+    return rounded
+
+
+def round_trip_policy(config: TaskConfig, numbers: Numbers) -> RoundTripPolicy:
+    """A schedule with constant feed and air in each pass."""
+    insertion, withdrawal = (
+        Schedule("inserted_length", "linear", (FIRST,), (numbers[columns[FEED]],), (numbers[columns[AIR]] / 3600.0,))
+        for columns in (INSERTION, WITHDRAWAL)
+    )
+    return RoundTripPolicy(config, Scheduled(insertion_task(config), insertion), withdrawal)
+
+
+def round_trip_csv(config: TaskConfig, numbers: Numbers) -> str:
+    """The schedule file, for ``Schedule.read`` and ``read_withdrawal``."""
+    values = ",".join(f"{numbers[name]:.6g}" for name in COLUMNS)
+    ends = (FIRST, config.scene.tube.helix_length)
+    lines = (f"{CSV_COMMENT} linear", ",".join(("inserted_length_m", *COLUMNS)), *(f"{end:g},{values}" for end in ends))
+    return "\n".join(lines) + "\n"
+
+
+def search_round_trip(
+    output: Path, limit: int = 12, trials: int = 40, tube: Path | None = None, workers: Workers = HERE
+) -> Numbers:
+    """Search by Bayesian optimisation, and evaluate the best in the validation tubes; writes ``ROUND_TRIP`` files.
+
+    ``trials`` is the number of schedules, including ``starts``; ``limit`` the number of training tubes per schedule.
+
+    Raises:
+        FileError: a stored episode is damaged, or of another task.
+    """
+    whole, played = load_case(tube, "train", 0, "both"), output / "simulated"
+    train, unseen = whole._replace(contexts=whole.contexts[:limit]), load_case(whole.plant, "validation", 0, "both")
+    config = whole.config.full_observation
+    space = ranges(config, whole.contexts)
+    print_line(f"{trials} trials of {limit} inspections each, stored in {played}; stored ones are not run again")
+    rows, commits = [], []
+    for number, (trial, study) in enumerate(_suggestions(trials, config, space)):
+        numbers = rounded_numbers(config, trial.params)
+        plan = plan_of({"trial": round_trip_policy(config, numbers)}, train)
+        table = run_plan(plan, played / f"{number:03d}", progress=False, workers=workers)
+        means = {kpi: float(table[kpi].mean()) for kpi in KPIS}
+        study.tell(trial, means["reward"])
+        rows.append(numbers | means | {"a90_95_percent_wall": a90_95(table, "trial")})
+        commits += list(table["commit"])
+    tried = pd.DataFrame(rows)
+    row = tried.iloc[int(tried["reward"].to_numpy().argmax())].to_dict()
+    best = {column: row[column] for column in COLUMNS}
+    compared = {ROUND_TRIP: best, BASELINE: starts(config, space)[0]}
+    policies = {one: round_trip_policy(config, numbers) for one, numbers in compared.items()}
+    table = run_plan(plan_of(policies, unseen), played / "validation", workers=workers)
+    validated = {one: table[table["policy"] == one][list(KPIS)].mean().to_dict() for one in compared}
+    gain = paired_difference(table, ROUND_TRIP, BASELINE, "reward")
+    record: dict[str, Any] = {"schedule": best, "inspects": config.inspects, "training_tubes": limit, "trials": trials}
+    record |= {"reward": row["reward"], "ranges": space, "validation_tubes": len(unseen.contexts)}
+    record |= {"validated": validated, "gain": asdict(gain)}
+    write_atomically(output / f"{ROUND_TRIP}.csv", round_trip_csv(config, best))
+    write_search(output, ROUND_TRIP, tried, origin(commits=[*commits, *table["commit"]]) | record)
+    rows = [{"schedule": one} | dict(compared[one]) | validated[one] for one in compared]
+    print_frame(f"In {len(unseen.contexts)} validation tubes", pd.DataFrame(rows))
+    print(f"{ROUND_TRIP}: reward minus that of {BASELINE}: {gain.text()} (95 % interval)")
+    print_line(f"written: {output}/ ({ROUND_TRIP}.csv: a schedule to evaluate, {ROUND_TRIP}-trials.csv and .json)")
+    return best
+
+
+def _suggestions(trials: int, config: TaskConfig, space: Space) -> Iterator[tuple[optuna.Trial, optuna.Study]]:
+    """Trials of a Gaussian process in memory, which is deterministic; feeds are logarithmic."""
+    optuna.logging.set_verbosity(optuna.logging.ERROR)  # without greenlet: slower, same result
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
+        sampler = optuna.samplers.GPSampler(seed=0, n_startup_trials=STARTUP_TRIALS)
+    study = optuna.create_study(direction="maximize", sampler=sampler)
+    for numbers in starts(config, space):
+        study.enqueue_trial(dict(numbers))
+    distributions: dict[str, optuna.distributions.BaseDistribution] = {
+        name: optuna.distributions.FloatDistribution(*space[name], log=name in (INSERTION[FEED], WITHDRAWAL[FEED]))
+        for name in COLUMNS
+    }
+    for _ in tqdm(range(trials), desc=ROUND_TRIP, unit="trial"):
+        yield study.ask(distributions), study
+
+
+# Constants of the PLC laws, on the map and in simulation
+
+RANGES: Final[dict[str, tuple[float, float]]] = {
+    "average": (3.0, 40.0), "onset_length": (10.0, 60.0), "onset_friction": (0.0, 3.0), "onset_diameter": (0.0, 3.0),
+    "slow_feed": (0.05, 0.4), "slow_length": (0.0, 2.0), "slow_friction": (0.0, 2.0), "slow_diameter": (0.0, 2.0),
+    "quiet": (1e-6, 2e-4), "shift": (0.0, 0.6),
+}  # fmt: skip
+"""Search range of each constant."""
+LOGARITHMIC: Final = ("average", "onset_length", "slow_feed", "quiet")
+LAWS: Final = 10
+"""Laws per generation."""
+WIDE, NEAR = 0.2, 0.05
+"""First standard deviation as a fraction of the ranges: on the map, and in simulation around its result."""
+AIMS: Final = (2.5e-5, 3e-5, 3.5e-5, 4.2e-5, 5e-5)
+"""Target noise of the trim, as radial rms [m]."""
+TIMES: Final = (40.0, 80.0, 160.0)
+"""Integral times of the trim [s]."""
+UNTRIMMED: Final = "plc-law"
+START: Final = 5.0
+"""Inserted length at the start [m]."""
+
+
+def constants_at(x: FloatArray) -> Constants:
+    """Constants of a point (10,) in the unit cube."""
+    values = {}
+    for fraction, (name, (low, high)) in zip(x, RANGES.items(), strict=True):
+        values[name] = low * (high / low) ** fraction if name in LOGARITHMIC else low + fraction * (high - low)
+    return Constants.model_validate({name: float(f"{value:.4g}") for name, value in values.items()})
+
+
+def point_of(constants: Constants) -> FloatArray:
+    """The inverse of ``constants_at``, within the cube."""
+    fractions = []
+    for name, (low, high) in RANGES.items():
+        value = getattr(constants, name)
+        linear = (value - low) / (high - low)
+        fractions.append(np.log(value / low) / np.log(high / low) if name in LOGARITHMIC else linear)
+    return np.asarray(np.clip(fractions, 0.0, 1.0))
+
+
+def search_plc(output: Path, limit: int | None = None, trials: int = 600, workers: Workers = HERE) -> None:
+    """Search the ten constants of plc-proportional, then the two of plc-integral; store and print.
+
+    Writes plc-law.json, trimmed-law.json and every trial. ``trials`` is the number of laws on the map, ``limit`` the
+    number of training tubes in simulation; default: 12 for the law, 48 for the trim.
+    """
+    search_law(output, trials, limit or 12, workers=workers)
+    search_trim(output, limit or 48, workers)
+    print_line(f"written: {output}/ (plc-law.json, trimmed-law.json, the trials of both)")
+
+
+def search_law(output: Path, trials: int, limit: int, generations: int = 6, workers: Workers = HERE) -> Constants:
+    """The constants of plc-proportional: on the map, then ``generations`` of ``LAWS`` laws in simulation."""
+    whole, case = load_case(None, "train"), load_case(None, "train", limit)
+    config = whole.config.full_observation
+    rows: list[dict[str, Any]] = []
+    commits, done = [commit()], 0  # of the laws on the map, which are not stored
+
+    def by_map(points: FloatArray) -> list[float]:
+        laws = [PlcProportional(config, constants_at(point)) for point in points]
+        return [float(quasi_steady_rewards(law, whole.contexts, stored_map()).mean()) for law in laws]
+
+    def simulated(points: FloatArray) -> list[float]:
+        nonlocal done
+        policies = {f"law-{done + k}": PlcProportional(config, constants_at(point)) for k, point in enumerate(points)}
+        folder = output / "episodes" / f"{done:04d}"
+        table = run_plan(plan_of(policies, case), folder, progress=False, workers=workers)
+        done += len(points)
+        commits.extend(table["commit"])
+        means = table.groupby("policy")["reward"].mean()
+        return [float(means[name]) for name in policies]
+
+    stages = ("map", by_map, WIDE, max(trials // LAWS, 1)), ("simulated", simulated, NEAR, generations)
+    best = Constants()
+    for where, reward, spread, count in stages:
+        points, rewards, mean = search(reward, point_of(best), count, f"plc-law, {where}", spread, LAWS)
+        centre = np.clip(mean, 0.0, 1.0)
+        laws, gained = [*map(constants_at, points), constants_at(centre)], [*rewards, *reward(centre[None])]
+        rows += [{"where": where, "reward": value, **law.model_dump()} for law, value in zip(laws, gained, strict=True)]
+        best = laws[-1] if gained[-1] >= max(gained) else laws[int(np.argmax(gained))]  # the mean if equal
+    table = pd.DataFrame(rows)
+    best_rewards = {where: float(part["reward"].max()) for where, part in table.groupby("where", sort=False)}
+    tubes = {"map": len(whole.contexts), "simulated": limit}
+    record = {"constants": best.model_dump(), "rewards": best_rewards, "tubes": tubes}
+    write_search(output, "plc-law", table, record | {"provenance": origin(commits=commits)})
+    return best
+
+
+def search_trim(output: Path, limit: int, workers: Workers = HERE) -> Trim:
+    """The constants of plc-integral: a grid of aims and times, compared with plc-proportional."""
+    case = load_case(None, "train", limit)
+    config = case.config.full_observation
+    trims = {f"trim-{k}": Trim(aim=aim, time=time) for k, (aim, time) in enumerate(product(AIMS, TIMES))}
+    policies: dict[str, Policy] = {UNTRIMMED: PlcProportional(config)}
+    policies |= {name: PlcIntegral(config, trim=trim) for name, trim in trims.items()}
+    table = run_plan(plan_of(policies, case), output / "trim-episodes", workers=workers)
+    rows: list[dict[str, Any]] = []
+    for name, trim in trims.items():
+        gain = paired_difference(table, name, UNTRIMMED, "reward")
+        row = trim.model_dump() | {"reward": table[table["policy"] == name]["reward"].mean()}
+        rows.append(row | {"gain": gain.mean, "gain_low": gain.low, "gain_high": gain.high})
+    trials = pd.DataFrame(rows)
+    best = rows[int(trials["reward"].to_numpy().argmax())]
+    chosen = Trim(aim=best["aim"], time=best["time"])
+    record = {"trim": chosen.model_dump(), "reward": best["reward"], "gain": best["gain"], "tubes": limit}
+    write_search(output, "trimmed-law", trials, record | {"provenance": origin(commits=table["commit"])})
+    print_frame(f"Reward minus that of {UNTRIMMED}, {limit} tubes", trials, texts=0)
+    return chosen
+
+
+def quasi_steady_rewards(policy: FixedPolicy, tubes: Sequence[Context], vibration: VibrationMap) -> FloatArray:
+    """Expected reward (n,) of insertions with tension, noise and cost of steady states; without jerk."""
+    config, values = policy.config, _values(tubes)
+    column = dict(zip(CONTEXT, values.T, strict=True))
+    count, end, dt = len(tubes), config.scene.tube.helix_length, config.period
+    length, reward, noise = np.full(count, START), np.zeros(count), np.full(count, RF_FLOOR)
+    feed = np.full(count, config.feed_speeds[1])
+    air = np.full(count, config.air_supply_rates[0])
+    memory = np.zeros((count, policy.memory))
+    policy.start(memory)
+    for step in range(round(config.time_limit / dt)):
+        observation = {
+            "inserted_length": length, "feed_speed": feed, "air_supply_rate": air, "rf_noise": noise,
+            "helix_diameter": column["helix_diameter"], "time": np.full(count, step * dt),
+        }  # fmt: skip
+        tension = sliding_tension(column["friction"], observation, config.scene) * column["drag_factor"]
+        feed, air = policy.targets(observation | {"root_tension": tension}, memory)
+        left = np.maximum(end - length, 0.0)
+        travel = np.minimum(feed * dt, left)
+        mean, deviation = vibration.predict(length + 0.5 * travel, feed, air, values, config.scene)
+        noise = np.hypot(10.0**mean * 1e-4, RF_FLOOR)
+        reward += travel * metre_reward(config, expected_cost(mean, deviation, feed, air, config))
+        length = length + travel
+        if (left <= 0.0).all():
+            break
+    return reward - uninspected_weight(config) * np.maximum(end - length, 0.0)
