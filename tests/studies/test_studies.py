@@ -99,13 +99,13 @@ def test_it_resumes(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytes
     """Nothing is run again; with one more ramp only that is."""
     before = (folder / "out" / "comparison.csv").read_bytes()
     played: list[int] = []
-    play = plans._lines
+    play = plans._records
 
     def counted(plan: Any, missing: Any, *rest: Any) -> Any:
         played.append(len(missing))
         return play(plan, missing, *rest)
 
-    monkeypatch.setattr(plans, "_lines", counted)
+    monkeypatch.setattr(plans, "_records", counted)
     assert main(["study", str(folder / "short.toml"), "--output", str(folder / "out")]) == 0
     assert played == []
     assert (folder / "out" / "comparison.csv").read_bytes() == before
