@@ -65,7 +65,7 @@ def test_every_screen_is_built_for_an_own_tube(app):
     assert page.session.tube.plant.tube.helix_length == 30.0
 
 
-def test_an_update_waits_until_the_browser_has_drawn_the_last_one(app, monkeypatch):
+def test_updates_wait_until_the_browser_has_drawn_the_last(app, monkeypatch):
     """Changes meanwhile are in the next one; it waits for ``PATIENCE`` at most."""
     page, updates = Page(app), []
     page.add_to(Document())
@@ -112,7 +112,7 @@ def test_an_update_waits_until_the_browser_has_drawn_the_last_one(app, monkeypat
     assert updates == [0, 2, 2.5, 3, 4, 6]  # begin and end of a run are shown at once
 
 
-def test_charts_around_the_tube_are_drawn_less_often_while_the_probe_moves(app, monkeypatch):
+def test_side_charts_refresh_less_often_than_the_tube(app, monkeypatch):
     case = load_case(None, "test", 1)
     config = case.config.full_observation
     plan = Plan(named_policies(["constant"], config), case.contexts, config=config, fidelity=resolve_fidelity("fast"))
@@ -135,7 +135,7 @@ def test_charts_around_the_tube_are_drawn_less_often_while_the_probe_moves(app, 
     assert len(screen.charts.source.data["inserted_length"][0]) == 4
 
 
-def test_all_charts_are_of_the_watched_insertion_when_another_one_ends(app, monkeypatch):
+def test_charts_switch_together_to_the_next_insertion(app, monkeypatch):
     """The slow one is watched next, though the charts were drawn a moment ago."""
     case = load_case(Plant(tube={"helix_length": 7.0}), "test", 1)
     config, names = case.config.full_observation, ["constant", "slow"]
@@ -160,7 +160,7 @@ def test_all_charts_are_of_the_watched_insertion_when_another_one_ends(app, monk
     assert screen.charts.source.data["colour"] == list(policy_colours(names).values())
 
 
-def test_a_policy_has_one_colour_on_all_screens_and_in_the_report(app):
+def test_a_policy_has_one_colour_everywhere(app):
     page = Page(app)
     page.schedule.overlay.value = ["constant", "best-schedule"]
     colours = dict(zip(page.schedule.lines.data["name"], page.schedule.lines.data["colour"], strict=True))
@@ -170,7 +170,7 @@ def test_a_policy_has_one_colour_on_all_screens_and_in_the_report(app):
     assert len(set(policy_colours(map(str, range(21))).values())) == 21
 
 
-def test_a_chosen_file_is_stored_and_one_of_other_contents_does_not_replace_it(app):
+def test_uploads_of_equal_name_are_both_stored(app):
     page = Page(app)
     text = "inserted_length_m,feed_speed_m_per_s,air_supply_m3_per_h\n5,{},60\n"
     stored = [
@@ -197,7 +197,7 @@ def test_a_dragged_flaw_stays_within_the_last_second(app):
     assert flaw.flaw.data["at"] == [0.0]
 
 
-def test_a_comparison_of_designs_is_shown_as_the_command_prints_it(app, tmp_path):
+def test_design_comparison_equals_that_of_the_command(app, tmp_path):
     page = Page(app)
     page.compare.open.value = str(tmp_path / "<script>alert(1)</script>")
     assert "<script>" not in page.compare.problem.text
@@ -273,7 +273,7 @@ def press(button):
     button._trigger_event(ButtonClick(button))
 
 
-def test_values_that_no_browser_sends_are_refused_at_their_field(app, tmp_path):
+def test_forged_values_are_refused_at_their_field(app, tmp_path):
     page = Page(app)
     for screen, field, value, message in (
         (page.insertion, "limit", 1e9, "tubes = 1000000000.0 is outside the accepted range 1 to 48"),

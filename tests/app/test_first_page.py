@@ -114,7 +114,7 @@ STILL = "quiet: vibration within 0.1 mm in every metre"
         ((SLOW, QUIET), f"is {ALLOWED}. It is {STILL}.", "0.0 m", [], ("0", "0")),
     ],
 )  # fmt: skip
-def test_too_fast_too_loud_and_good_on_the_page_and_in_the_app(insertion, verdict, length, rows, hours, tmp_path):
+def test_verdicts_of_the_first_page_and_the_app(insertion, verdict, length, rows, hours, tmp_path):
     """275 s of insertion, 100 s of setup and 225 s of withdrawal: 60 tubes take 10 h, and as long again if repeated."""
     page = texts(front(store(tmp_path / "run", [insertion])))
     assert page[:3] == ["Your schedule", "mine", verdict]
@@ -138,7 +138,7 @@ def test_too_fast_too_loud_and_good_on_the_page_and_in_the_app(insertion, verdic
     assert screen[-1].endswith(f"; second passes [h]: {hours[1]}")
 
 
-def test_over_several_tubes_the_list_has_shares(tmp_path):
+def test_list_over_several_tubes_has_fractions(tmp_path):
     """Two of four tubes are too loud from 35 m on, and one of these too fast from 10 to 20 m."""
     report = store(tmp_path / "run", [(SLOW, QUIET), (SLOW, LOUD), (FAST, LOUD), (SLOW, QUIET)])
     page = texts(front(report))
@@ -164,7 +164,7 @@ def test_without_instrument_and_bundle_their_parts_are_left_out(tmp_path):
     assert screen_of(tmp_path / "run", tmp_path) == ""
 
 
-def test_without_a_file_of_the_user_the_page_is_of_the_best_policy(tmp_path):
+def test_first_page_shows_the_best_policy_by_default(tmp_path):
     """A constant has no schedule file: its feed and air are as driven."""
     page = texts(front(store(tmp_path / "run", [(SLOW, QUIET)], policies={"other": Constant(CONFIG)}, users=())))
     assert page[:2] == ["The best policy,", "other"]

@@ -24,7 +24,7 @@ EXAMPLE = Path("configs/tubes/example.toml")
 FIELDS = {field.path: field for fields in tube_fields().values() for field in fields}
 
 
-def test_the_form_has_every_field_of_the_file_with_its_unit_and_range():
+def test_form_has_every_field_with_unit_and_range():
     for path, unit in (("tube.helix_length", "m"), ("air.air_lag", "s"), ("task.period", "s")):
         field = FIELDS[path]
         form, accepted = TubeForm(), field.range
@@ -120,7 +120,7 @@ def test_a_changed_tube_is_saved_as_a_file_of_the_command(tmp_path):
         form.save(EXAMPLE, tmp_path)
 
 
-def test_a_tube_is_saved_next_to_the_opened_file_or_in_the_folder_of_the_app(tmp_path):
+def test_folders_in_which_a_tube_can_be_saved(tmp_path):
     app, rigs = tmp_path / "app" / "tubes", tmp_path / "rigs"
     rigs.mkdir()
     (rigs / "mine.toml").write_text("[contact]\nfriction = 0.2\n")
@@ -148,7 +148,7 @@ def test_a_tube_is_saved_next_to_the_opened_file_or_in_the_folder_of_the_app(tmp
     assert Plant.from_toml(app / "other.toml").contact.friction == 0.3
 
 
-def test_a_refused_change_has_the_message_of_the_command_and_changes_nothing(tmp_path, capsys):
+def test_refused_change_has_the_message_of_the_command(tmp_path, capsys):
     form = TubeForm()
     form.open(EXAMPLE)
     before = form.tables, form.plant
@@ -188,7 +188,7 @@ def test_points_are_tidied_after_a_drag():
     assert np.diff(tidy[LENGTH]).min() > 0.0
 
 
-def test_the_prediction_is_the_objective_of_the_search_for_schedules():
+def test_prediction_equals_the_objective_of_the_search():
     case, schedule = load_case(None, "test", 6), Schedule.read(DATA / "best-schedule.csv")
     prediction = schedules.predict(schedule, case)
     cost = MapCost(case.contexts, case.config, case.vibration)
@@ -211,7 +211,7 @@ def test_every_offered_overlay_is_a_line():
         schedules.policy_line("pi", case)
 
 
-def test_overlays_of_policies_end_at_the_permitted_speed_and_schedule_files_do_not(tmp_path):
+def test_overlays_respect_the_permitted_speed(tmp_path):
     """40 Hz / 4 x 20 mm / 2 = 0.1 m/s."""
     case, file = load_case(Plant(instrument={"test_frequency": 40.0}), "test", 1), tmp_path / "mine.csv"
     file.write_text("inserted_length_m,feed_speed_m_per_s,air_supply_m3_per_h\n5,0.3,63\n")

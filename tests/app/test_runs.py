@@ -82,7 +82,7 @@ def test_a_run_equals_the_evaluation_of_the_command_bit_for_bit(queue, tube, tmp
     assert command == f"probe-env evaluate constant pi --tube {tube} --limit 2 --fidelity fast --output {tmp_path}/app"
 
 
-def test_pause_step_look_and_go_change_nothing(queue, tube, tmp_path):
+def test_pause_step_and_slow_motion_change_nothing(queue, tube, tmp_path):
     plain, watched = (request(tmp_path / name, tube, policies=("constant",), limit=1) for name in ("plain", "watched"))
     unit = ("constant", 0, 0)
     run, other = queue.add(watched, [Command("pause")]), queue.add(plain)
@@ -193,7 +193,7 @@ def still(feed=0.2, seconds=1.0):
     return ProbeShape(**floats, **tube, **signal, feed_speed=feed, observation={})
 
 
-def test_the_signal_to_noise_ratio_of_a_groove_without_vibration_is_its_closed_form():
+def test_snr_of_a_groove_without_vibration():
     """7.5 at 0.2 m/s, in proportion to the depth, and to the root of the time at the flaw."""
     sensor = Sensor()
     assert flaw_signal(sensor, still(), 0.5, GROOVE).snr == pytest.approx(7.5, rel=2e-3)

@@ -59,7 +59,7 @@ def test_the_server_listens_to_this_machine_alone(server):
     assert [sock.getsockname()[0] for sock in server._http._sockets.values()] == ["127.0.0.1"]
 
 
-def test_garbage_collection_skips_open_pages_and_frees_closed_ones(server):
+def test_garbage_collection_frees_closed_pages_only(server):
     document = server._tornado.applications["/"].application.create_document()
     assert gc.get_freeze_count() > 0
     page, (closed,) = weakref.ref(document), document.session_destroyed_callbacks
@@ -79,7 +79,7 @@ def test_requests_without_the_token_are_refused(server, get):
     assert server.get_sessions("/") == []
 
 
-def test_the_printed_address_sets_a_cookie_that_opens_the_page_and_its_connection(server, get):
+def test_printed_address_sets_the_cookie_of_the_page(server, get):
     answer = get(f"/login?token={TOKEN}", cookie="")
     cookie, *attributes = answer.headers["Set-Cookie"].split("; ")
     assert (answer.code, answer.headers["Location"]) == (302, "/")
@@ -96,7 +96,7 @@ def test_the_printed_address_sets_a_cookie_that_opens_the_page_and_its_connectio
         assert server.io_loop.run_sync(lambda headers=headers: connect(server, headers)) == code
 
 
-def test_another_address_is_let_in_if_it_is_named(app):
+def test_named_origin_is_accepted(app):
     """The other end of an SSH tunnel, or a proxy."""
     asyncio.set_event_loop(asyncio.new_event_loop())
     server = make_server(app, None, 0, TOKEN, "named.example:8080")
@@ -143,7 +143,7 @@ def test_other_sites_are_refused_even_with_the_cookie(server, get, header):
     assert server.get_sessions("/") == []
 
 
-def test_reports_are_served_without_rights_and_only_of_folders_that_a_page_has_shown(app, get, tmp_path):
+def test_only_shown_reports_are_served_in_a_sandbox(app, get, tmp_path):
     for name in ("opened", "other"):
         (tmp_path / name).mkdir()
         (tmp_path / name / "setting.json").write_text("{}")

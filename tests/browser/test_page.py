@@ -199,7 +199,7 @@ def test_invalid_input_is_refused_at_its_field(page, tmp_path):
             page.get_by_role("alert").filter(has_text=message).wait_for(state="detached")
 
 
-def test_after_a_killed_server_finished_runs_are_listed_and_others_resume(browser, tube, tmp_path):
+def test_runs_are_listed_and_resumed_after_a_killed_server(browser, tube, tmp_path):
     with served(tmp_path / "runs", tube) as app:
         with opened(browser, app) as page:
             finish(page, start(page))
@@ -315,7 +315,7 @@ def test_only_reports_are_served_and_only_to_this_host(page, app):
     assert answer.status == 403
 
 
-def test_the_scripts_of_a_report_do_not_have_the_origin_of_the_app(page, tmp_path):
+def test_scripts_of_a_report_have_another_origin(page, tmp_path):
     (tmp_path / "report.html").write_text("<p>foreign</p><script>document.title = origin</script>")
     screen(page, 4)
     fill(page, "open an evaluation folder", str(tmp_path))

@@ -41,7 +41,7 @@ def test_extras_name_what_is_imported():
     assert imported("agents") - imported("probe_env") - {"ray"} <= set().union(*map(modules_of, EXTRAS))
 
 
-def test_a_missing_module_is_named_with_the_smallest_extra_that_the_command_runs_with(monkeypatch, capsys):
+def test_missing_module_names_the_smallest_extra(monkeypatch, capsys):
     assert [extra_with(name) for name in ("PIL", "emcee", "tornado", "x")] == ["commands", "plant", "app", None]
     for command, module, extra in (
         ("simulate", "tyro", "commands"), ("simulate", "tyro.conf", "commands"), ("evaluate", "sb3_contrib", "agents"),

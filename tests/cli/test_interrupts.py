@@ -37,7 +37,7 @@ def last_line(capsys):
 @pytest.mark.parametrize(
     ("number", "jobs"), [(signal.SIGINT, 1), pytest.param(signal.SIGTERM, 2, marks=pytest.mark.slow)]
 )
-def test_an_interrupted_evaluation_says_how_many_are_stored_and_goes_on(number, jobs, tmp_path, capsys, monkeypatch):
+def test_interrupted_evaluation_reports_and_continues(number, jobs, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("probe_agents.policies.cases.TaskConfig", lambda: CONFIG)
     handlers = [signal.getsignal(n) for n in STATUS]
     output = tmp_path / "run"
@@ -59,7 +59,7 @@ def test_an_interrupted_evaluation_says_how_many_are_stored_and_goes_on(number, 
     assert first["reward"].tolist() == run_plan(plan, None)["reward"].tolist()
 
 
-def test_an_interrupted_simulation_names_the_files_that_were_written_before(tmp_path, capsys, monkeypatch):
+def test_interrupted_simulation_names_written_files(tmp_path, capsys, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr("probe_agents.evaluation.simulate.point_statistics", signalling(signal.SIGINT))
         assert main(["simulate", SCENE, *BRIEF, str(tmp_path / "run")]) == 130

@@ -48,7 +48,7 @@ def test_a_known_front_is_found(tmp_path):
     assert table[table["on_front"]]["mean_square_ratio"].min() < 0.5
 
 
-def test_broken_off_in_any_trial_equals_never_broken_off(tmp_path, whole):
+def test_interrupted_search_equals_an_uninterrupted_one(tmp_path, whole):
     """8, 16 and 24 are the first of a generation: there the parents are selected, once asked they are cached.
 
     0 and 1 are starts, which come first.
@@ -71,7 +71,7 @@ def test_broken_off_in_any_trial_equals_never_broken_off(tmp_path, whole):
 
 
 @pytest.mark.slow
-def test_killed_before_and_after_any_trial_is_told_equals_never_killed(tmp_path, whole):
+def test_search_killed_at_any_trial_gives_the_same_result(tmp_path, whole):
     """Each run is killed in its fourth trial, by turns asked and judged but not yet told, and just told."""
     kills = 0
     while killed_at("optuna.study.Study.tell", 4, run, tmp_path, 30, after=kills % 2 == 1):
@@ -81,7 +81,7 @@ def test_killed_before_and_after_any_trial_is_told_equals_never_killed(tmp_path,
 
 
 @pytest.mark.parametrize(("point", "after"), [("os.symlink", True), ("os.fsync", False), ("os.fsync", True)])
-def test_killed_while_its_journal_is_made_a_search_goes_on_at_once(point, after, tmp_path, whole, monkeypatch):
+def test_search_killed_while_creating_its_journal_continues(point, after, tmp_path, whole, monkeypatch):
     """With Optuna's lock taken, before and after the first record is on the disk."""
     assert killed_at(point, 1, run, tmp_path, 3, after=after)
     assert (tmp_path / "study.jsonl.lock").is_symlink()
@@ -135,7 +135,7 @@ def test_a_probe_that_does_not_get_through_is_judged_the_worst(monkeypatch):
 
 @pytest.mark.slow
 @pytest.mark.processor
-def test_codesign_drives_the_probe_by_feedback_in_whole_insertions():
+def test_codesign_simulates_whole_insertions_with_feedback():
     """The same probe by an agent and by the study's feed."""
     tube, fast = (Context(),), PRESETS["fast"]
     driven, fed = (DesignProblem(tube, feed, True, fast) for feed in ("ppo", "constant"))
@@ -148,7 +148,7 @@ def test_codesign_drives_the_probe_by_feedback_in_whole_insertions():
     assert abs(seconds - study_seconds) > 5.0
 
 
-def test_comparison_is_paired_resumable_and_the_same_in_any_company(tmp_path, capsys):
+def test_comparison_is_paired_and_resumable(tmp_path, capsys):
     designs = {"original": Design(), "light": Design(line_density=0.1)}
     tubes = [Context(friction=0.15), Context(friction=0.2)]
     whole = compare(designs, DesignTrials(tubes), tmp_path / "whole")

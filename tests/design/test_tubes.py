@@ -45,7 +45,7 @@ def refused(capsys, *arguments):
     return printed
 
 
-def test_designs_are_the_plant_s_probe_changed_and_folders_are_of_one_plant(tmp_path, capsys):
+def test_designs_start_from_the_probe_of_the_plant(tmp_path, capsys):
     run = ["compare", "own.toml", "long.toml", "--limit", "2", "--output", "out", "--tube"]
     assert main([*run, "mine.toml"]) == 0
     assert "of mine (bore 19.5 mm, helix 40 m)" in " ".join(capsys.readouterr().out.split())
@@ -70,7 +70,7 @@ def test_designs_are_the_plant_s_probe_changed_and_folders_are_of_one_plant(tmp_
     assert '(tube.name "table 2", now "mine"' in refused(capsys, *mine)
 
 
-def test_what_does_not_fit_is_refused_before_any_work(tmp_path, capsys):
+def test_designs_that_do_not_fit_are_refused(tmp_path, capsys):
     tight = OWN.replace("17e-3", "16e-3")
     for plant, arguments, message in (
         (OWN, ["compare", "improved"], "design 'improved' in mine: probe.guide_float_diameter = 0.02 m must be less"),
@@ -90,7 +90,7 @@ def test_what_does_not_fit_is_refused_before_any_work(tmp_path, capsys):
         assert not (tmp_path / "out").exists()
 
 
-def test_a_search_is_among_what_fits_the_plant(tmp_path, capsys, monkeypatch):
+def test_search_stays_within_what_fits_the_plant(tmp_path, capsys, monkeypatch):
     case = load_case(tmp_path / "mine.toml", "train", 2)
     problem = design_problem("best-constant", False, case, "standard")
     assert problem.axes["guide_float_diameter"][:2] == (0.016, pytest.approx(0.0185))
@@ -118,7 +118,7 @@ def test_a_search_is_among_what_fits_the_plant(tmp_path, capsys, monkeypatch):
     Design.from_toml(tmp_path / "out" / "found.toml")
 
 
-def test_a_probe_that_cannot_be_simulated_in_a_tube_is_judged_the_worst_there(tmp_path, monkeypatch):
+def test_probe_that_cannot_be_simulated_ranks_last(tmp_path, monkeypatch):
     """80 m of soft cable under full air of 3.4 times the drag, held by next to no friction: pulled too hard."""
     monkeypatch.setattr("probe_agents.design.trials.try_sections", lambda *_, **__: pytest.fail("it was simulated"))
     smooth = OWN.replace("40.0", "80.0").replace("0.12", "0.02").replace("0.22", "0.03")
@@ -131,7 +131,7 @@ def test_a_probe_that_cannot_be_simulated_in_a_tube_is_judged_the_worst_there(tm
     assert seconds == pytest.approx(67.5 / 0.03)
 
 
-def test_a_search_judges_over_the_plant_s_own_span(tmp_path):
+def test_search_scores_over_the_length_of_the_plant(tmp_path):
     """A constant feed takes the span over it: 27.5 and 67.5 m at 0.2 m/s, unless the probe does not get through."""
     for name, span in (("mine", 27.5), ("other", 67.5)):
         problem = design_problem("constant", False, load_case(tmp_path / f"{name}.toml", "train", 1), "standard")

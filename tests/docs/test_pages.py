@@ -37,7 +37,7 @@ def test_the_python_examples_run(page, example, monkeypatch, tmp_path):
     exec(compile(example, page, "exec"), {"__name__": "example"})
 
 
-def test_the_figures_of_the_readme_are_the_stored_ones():
+def test_figures_of_the_readme_are_stored():
     for text in (readme.results_table(), readme.learning_table(), readme.speed_row()):
         assert text in PAGES["README.md"]
 

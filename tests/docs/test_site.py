@@ -50,7 +50,7 @@ def test_pages_are_complete_and_request_no_other_host(site):
 
 
 @pytest.mark.slow
-def test_formulas_are_drawn_by_the_browser_and_none_is_left_as_text(site):
+def test_formulas_are_mathml(site):
     """MathML, with nothing of LaTeX in it; a dollar that is left stands for a formula that was not found."""
     drawn = 0
     for page in (ROOT / "docs").rglob("*.md"):

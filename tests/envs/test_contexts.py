@@ -9,7 +9,7 @@ from probe_env import Context, load_contexts, spread_contexts
 from probe_env.envs.contexts import SPLIT_SIZES
 
 
-def test_lists_have_their_sizes_do_not_overlap_and_are_those_that_ship(monkeypatch):
+def test_shipped_lists_have_their_sizes_and_no_overlap(monkeypatch):
     lists = {split: load_contexts(split) for split in SPLIT_SIZES}
     assert {split: len(contexts) for split, contexts in lists.items()} == SPLIT_SIZES
     every = [context for contexts in lists.values() for context in contexts]
@@ -31,7 +31,7 @@ def test_every_limit_is_a_prefix():
         spread_contexts("test", 49)
 
 
-def test_a_list_played_in_turn_gives_every_tube_once_and_begins_again_with_a_seed():
+def test_list_in_turn_gives_every_tube_once():
     env, tubes = gym.make("probe_env/Insertion-v1", fidelity="surrogate", contexts="validation", in_turn=True), []
     for k in range(25):
         tubes.append(Context(**env.reset(seed=3 if k == 0 else None)[1]["context"]))
@@ -43,7 +43,7 @@ def test_a_list_played_in_turn_gives_every_tube_once_and_begins_again_with_a_see
 
 
 @pytest.mark.parametrize("fidelity", ["fast", "surrogate"])
-def test_environments_of_a_batch_share_a_list_that_is_played_in_turn(fidelity):
+def test_batch_shares_a_list_in_turn(fidelity):
     """Episodes end at their own times: environment 1 plays tubes 1, 3 and 5, whatever environment 0 does."""
     own = [{"friction": 0.1 + 0.01 * k} for k in range(6)]
     settings = {"fidelity": fidelity, "contexts": own, "in_turn": True, "config": {"settle_time": 1.0}}

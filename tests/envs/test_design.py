@@ -51,7 +51,7 @@ BROKEN = {
 }
 
 
-def test_designs_that_cannot_be_built_as_they_are_name_the_nearest():
+def test_design_that_cannot_be_built_names_the_nearest():
     Design(guide_length=5.1, float_pitch=0.15).check_whole_pitches()
     for fields, message in (
         (
@@ -144,7 +144,7 @@ def test_scores_equal_closed_values():
     assert kpis["radial_rms_m"][0] == pytest.approx(np.sqrt((20.0 * 5e-5**2 + 27.5 * 5e-4**2) / 47.5))
 
 
-def test_sections_that_are_not_reached_have_the_greatest_cost():
+def test_unreached_sections_have_the_max_cost():
     terms, kpis = score_designs([IMPROVED], two_sections((5e-5, 0.0), diverged=True, widths=(20.0, 0.0)), CONFIG)
     assert kpis["missed_m"][0] == pytest.approx(27.5)
     assert kpis["inspected_m"][0] == pytest.approx(20.0)

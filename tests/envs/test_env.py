@@ -159,7 +159,7 @@ def test_the_page_lists_what_info_holds():
     assert infos["final_info"]["episode_kpis"]["pod"].shape == (2, *DEPTHS.shape)
 
 
-def test_options_set_fields_of_the_context_and_do_not_change_the_others():
+def test_reset_options_set_fields_of_the_context():
     env = gym.make("probe_env/Insertion-v1")
     free = env.reset(seed=3)[1]["context"]
     fixed = env.reset(seed=3, options={"friction": 0.21})[1]["context"]

@@ -111,7 +111,7 @@ def episode():
     return play()
 
 
-def test_a_probe_that_stays_in_the_tube_earns_less_than_one_that_returns():
+def test_probe_that_stays_earns_less_than_one_that_returns():
     """With the time limit just before the turn, and after it."""
     for inspects in SCORED:
         whole = play(inspects=inspects)[2][-1]["episode_kpis"]["reward"]
@@ -126,7 +126,7 @@ def test_a_probe_that_stays_in_the_tube_earns_less_than_one_that_returns():
             assert info["episode_kpis"]["reward"] < whole - 5.0, (inspects, seconds)
 
 
-def test_the_probe_turns_at_the_end_and_returns_to_its_initial_length(episode):
+def test_probe_turns_at_the_end_and_returns(episode):
     env, observations, infos, rewards = episode
     values = in_si_units(env.config, observations)
     lengths, way = values["inserted_length"], values["way"]

@@ -121,7 +121,7 @@ def test_scatter_has_its_deviation_and_correlation():
     assert np.mean(series[1:] * series[:-1]) / series.var() == pytest.approx(0.9, abs=0.002)
 
 
-def test_the_field_has_its_deviation_and_its_correlations_over_feed_air_and_length():
+def test_random_field_has_its_deviation_and_correlations():
     """Bounds are 4.5 standard errors of 20,000 random functions."""
     rng, field, count = np.random.default_rng(0), RandomField(deviation=0.2, feed=0.3, air=0.003, length=10.0), 20_000
     waves = np.array([field.waves(rng) for _ in range(count)])

@@ -33,7 +33,7 @@ def same(one, other):
     pd.testing.assert_frame_equal(one, other, check_exact=True)
 
 
-def test_the_table_has_every_episode_and_pairs_share_context_and_seed(evaluated):
+def test_table_has_every_episode_paired_by_seed(evaluated):
     table = pd.read_parquet(evaluated / "episodes.parquet")
     assert len(table) == 2 * 3 * 2
     first, second = (table[table["policy"] == name].reset_index() for name in ("feed 0", "feed 1"))
@@ -71,7 +71,7 @@ def test_the_profile_of_both_passes_reaches_to_the_turn():
     assert rows[-1] == pytest.approx(8.0, abs=0.05)
 
 
-def test_an_episode_does_not_depend_on_its_company(evaluated):
+def test_episode_does_not_depend_on_the_batch(evaluated):
     alone = run_plan(make_plan(), None, batch=1, progress=False)
     together = pd.read_parquet(evaluated / "episodes.parquet")
     same(alone.drop(columns="commit"), together.drop(columns="commit"))
@@ -101,7 +101,7 @@ def interrupted_at(point, number, work, folder):
 
 
 @pytest.mark.parametrize("stopped_at", [interrupted_at, pytest.param(killed_at, marks=pytest.mark.slow)])
-def test_an_evaluation_that_is_stopped_continues_to_the_same_table(stopped_at, tmp_path):
+def test_stopped_evaluation_continues_to_the_same_table(stopped_at, tmp_path):
     """Whenever three more episodes are in the journal, then as each of the five files is to be put in place."""
     whole = run_plan(make_plan(4, 3), tmp_path / "whole", batch=2, progress=False)
     folder, stored = tmp_path / "stopped", []
@@ -114,7 +114,7 @@ def test_an_evaluation_that_is_stopped_continues_to_the_same_table(stopped_at, t
     same(run_plan(make_plan(4, 3), folder, batch=2, progress=False), whole)
 
 
-def test_a_folder_of_other_settings_is_refused_but_observations_may_differ(stored, monkeypatch):
+def test_folder_of_other_settings_is_refused(stored, monkeypatch):
     monkeypatch.setattr("probe_agents.evaluation.plan.make_episodes", None)  # simulating anything would fail
     table, before = pd.read_parquet(stored / "episodes.parquet"), {path: path.read_bytes() for path in stored.iterdir()}
     limit = CONFIG.model_copy(update={"time_limit": 0.5})
@@ -187,7 +187,7 @@ def test_bad_arguments_are_named_and_nothing_is_written(tmp_path):
     assert not (tmp_path / "out").exists()
 
 
-def test_the_estimated_time_scales_with_the_fidelity_and_the_planner_s_candidates():
+def test_estimated_time_scales_with_fidelity_and_planner():
     """Four times the motion at standard; 16 candidates for four of every two periods are 32 more insertions."""
     config, tube = TaskConfig().full_observation, load_contexts("test")[:1]
     policies = named_policies(["constant", "planner"], config)

@@ -119,7 +119,7 @@ def test_noise_is_compared_in_the_measure_of_the_task():
     assert judged(metres, CONFIG.model_copy(update={"vibration_measure": "velocity"}))[1] == []
 
 
-def test_the_axial_vibration_of_the_sensor_is_added_to_the_feed_for_information():
+def test_axial_vibration_is_reported_beside_the_feed():
     """0.2 m/s and 0.06 m/s rms are above 0.25 m/s, from 40 m on; the list of metres is by the feed alone."""
     metres = insertion(axial_velocity_rms=lambda metre: np.where(metre > 40.0, 0.06, 0.04))
     verdict, intervals = judged(metres)
@@ -178,7 +178,7 @@ def scheduled(metres, config, context, **ended):
     return repeat_schedule([(stretches, intervals_to_repeat(stretches, config), context)], config, stored_map())
 
 
-def test_a_repeated_pass_is_slow_enough_where_it_inspects_and_fast_elsewhere():
+def test_repeated_pass_is_slow_only_where_it_inspects():
     metres = insertion(feed=lambda metre: np.where((metre > 20.0) & (metre < 30.0), 0.4, 0.2), air_supply_rate=0.03)
     schedule = scheduled(metres, CONFIG, Context())
     assert schedule.at([6.0, 18.0, 20.0, 25.0, 29.9, 30.2, 59.0])[0] == pytest.approx(
@@ -217,7 +217,7 @@ def test_a_repeated_pass_is_quiet_where_it_was_loud():
     assert (quiet_feeds(stretches, context, CONFIG, vibration)[40:] <= before[40:]).all()
 
 
-def test_a_repeated_pass_has_the_most_air_from_the_first_lost_drive_on():
+def test_repeated_pass_has_max_air_after_lost_drive():
     schedule = scheduled(insertion(last=42.0), CONFIG, Context(), complete=False, lost_drive=True)
     most = CONFIG.air_supply_rates[1]
     assert schedule.at([30.0, 40.6, 59.0])[1] == pytest.approx([0.02, most, most])
@@ -230,7 +230,7 @@ def tube(tmp_path):
     return path
 
 
-def test_evaluate_holds_policies_judges_schedules_and_takes_the_repeated_pass(tube, tmp_path, capsys):
+def test_evaluate_applies_the_permitted_speed(tube, tmp_path, capsys):
     file, folder = tmp_path / "mine.csv", tmp_path / "out"
     head = "# interpolation: steps\ninserted_length_m,feed_speed_m_per_s,air_supply_m3_per_h\n"
     file.write_text(f"{head}5,0.2,63\n10,0.4,63\n20,0.2,63\n")
@@ -269,7 +269,7 @@ def test_kpis_of_an_insertion_that_diverged_at_once():
     assert kpis == dict.fromkeys(nothing, 0.0) | {"length_to_repeat_m": 55.0}
 
 
-def test_a_report_of_one_tube_lists_the_metres_and_offers_what_was_driven(tmp_path):
+def test_report_of_one_tube_lists_metres_to_repeat(tmp_path):
     """At 0.3 m/s in a helix of 8 m: 3 m are above 0.25 m/s, unless the speed is limited."""
     config = CONFIG.model_copy(update={"scene": {"carrier_length": 2.5, "tube": {"helix_length": 8.0}}})
     constant = Scheduled(config, Schedule("inserted_length", "steps", (5.0,), (0.3,), (0.02,)))

@@ -73,7 +73,7 @@ def test_the_verdict_gives_the_differences_to_the_best():
     assert "the best here, best." in headline(oracle, "mine", {"oracle"})
 
 
-def test_the_verdict_names_failures_few_tubes_and_a_lack_of_rivals():
+def test_verdict_names_failures_and_missing_comparisons():
     table = table_of(TIMES, SHARES, REWARDS)
     table.loc[[0, 1], ["complete", "lost_drive"]] = 0.0, 1.0
     assert compare(table, "mine").figures.endswith("; it did not complete 2 of 20 insertions.")
@@ -92,7 +92,7 @@ def test_the_verdict_names_failures_few_tubes_and_a_lack_of_rivals():
         assert alone.figures == f"300 s, 90 % of the length within {words}."
 
 
-def test_as_many_episodes_are_compared_as_can_be():
+def test_all_common_episodes_are_compared():
     for counts, kept in (
         ((48, 48, 40), [40, 40, 40]),
         ((48, 48, 1), [48, 48]),  # one tube of three says less than 48 of two
@@ -103,7 +103,7 @@ def test_as_many_episodes_are_compared_as_can_be():
         assert chosen.to_dict() == {f"policy {k}": count for k, count in enumerate(kept)}
 
 
-def test_the_report_of_an_interrupted_evaluation_says_what_is_missing(tmp_path):
+def test_report_of_an_interrupted_evaluation(tmp_path):
     plan, calls = make_plan(4, 3, seeds=(0,)), itertools.count(1)
 
     def per_metre(profile):
@@ -147,7 +147,7 @@ def test_the_hours_of_a_bundle_are_printed_stored_and_reported(tmp_path, capsys)
     assert json.loads((tmp_path / "report.json").read_text())["bundle"]["tubes"] == 50
 
 
-def test_a_stored_evaluation_gets_its_report_again(stored, tmp_path, capsys, monkeypatch):
+def test_report_of_a_stored_evaluation(stored, tmp_path, capsys, monkeypatch):
     """The same one, or compared with another policy; a folder without one is named."""
     monkeypatch.setattr("probe_agents.evaluation.plan.make_episodes", None)  # playing anything would fail
     before = {name: (stored / name).read_bytes() for name in ("report.html", "summary.csv", "report.json")}
@@ -166,7 +166,7 @@ def test_a_stored_evaluation_gets_its_report_again(stored, tmp_path, capsys, mon
     assert "no such file: " in capsys.readouterr().err
 
 
-def test_tables_of_before_are_not_taken_for_those_of_a_changed_schedule(stored):
+def test_changed_schedule_invalidates_stored_tables(stored):
     """Its name stays the same, so nothing in the tables says that they are of another."""
     changed = make_plan()
     changed.policies["feed 1"] = Constant(CONFIG, feed_speed=0.35)
@@ -190,7 +190,7 @@ def page(tmp_path_factory):
     return (folder / "report.html").read_text()
 
 
-def test_the_page_begins_with_the_verdict_and_goes_on_with_the_comparison(page):
+def test_report_begins_with_the_verdict(page):
     heads = re.findall(r'<p class="headline[^>]*>(.*?)</p>', page)
     assert len(heads) == 2
     assert heads[0].startswith("Your schedule <b>my schedule</b> is not quiet: vibration within 0.1 mm in ")
@@ -203,7 +203,7 @@ def test_the_page_begins_with_the_verdict_and_goes_on_with_the_comparison(page):
         assert text in page
 
 
-def test_the_page_needs_no_network_and_a_name_cannot_leave_its_place(page):
+def test_report_needs_no_network_and_escapes_names(page):
     assert "default-src 'none'" in page
     assert not re.search(r"@import|url\(", page)
     tags, parser = [], HTMLParser()
@@ -248,7 +248,7 @@ def test_traces_are_what_was_fed(evaluated, monkeypatch):
     assert coarse["policies"][0]["tubes"][0][2] == [100, 255, 400]  # root mean square of 200 and 300
 
 
-def test_schedules_of_both_ways_have_their_way_back(tmp_path):
+def test_schedules_of_both_passes_include_the_withdrawal(tmp_path):
     """As given, with more points on the way back than on the way in; of a law what it fed, of an agent nothing."""
     config = TaskConfig(passes="both")
     forth = Schedule("inserted_length", "steps", (10.0, 40.0), (0.4, 0.2), (0.02, 0.03))
@@ -297,7 +297,7 @@ def test_oracles_are_no_rivals():
         assert oracle_policies(SimpleNamespace(record=record)) == {name.replace(":", "-") for name in names} - {"pi"}
 
 
-def test_tubes_in_which_nothing_can_begin_are_refused_and_nothing_is_written(tmp_path, capsys):
+def test_tubes_without_a_valid_start_are_refused(tmp_path, capsys):
     tube, output = tmp_path / "mine.toml", tmp_path / "out"
     for text, message in (
         ("[contact]\nstiffness = 200\n", "contact_stiffness = 200 N/m is below"),
@@ -313,7 +313,7 @@ def test_tubes_in_which_nothing_can_begin_are_refused_and_nothing_is_written(tmp
         assert not output.exists()
 
 
-def test_the_passes_of_a_tube_are_those_of_its_file_unless_options_say_otherwise(tmp_path, monkeypatch, capsys):
+def test_passes_follow_the_tube_file_and_options(tmp_path, monkeypatch, capsys):
     tube, plans = tmp_path / "mine.toml", []
     tube.write_text('[task]\npasses = "both"\ninspects = "back"\ntime_limit = 1000.0\n')
     monkeypatch.setattr("probe_agents.evaluation.run.evaluate_plan", lambda plan, *rest: plans.append(plan))

@@ -31,7 +31,7 @@ def quiet(feed, seconds=100):
 
 
 @pytest.mark.parametrize("feed", [0.08, 0.2, 0.4])
-def test_a_flaw_stands_behind_the_filter_as_high_as_the_formula_says(feed):
+def test_filtered_flaw_has_the_height_of_the_formula(feed):
     """Mean of n flaws: within 4 deviations of 1 / sqrt(n) (a chance of 6e-5), and 0.5 % for the bends of a peak."""
     sensor, recording = Sensor(), quiet(feed)
     flaws = [Flaw(place, 0.2) for place in np.arange(3.0, recording.position[-1] - 0.2, 0.2)]
@@ -46,7 +46,7 @@ def test_a_flaw_stands_behind_the_filter_as_high_as_the_formula_says(feed):
     assert empty.std() == pytest.approx(1.0, abs=4.0 / np.sqrt(2.0 * free))
 
 
-def test_motion_stands_in_both_channels_opposite_and_unequal():
+def test_motion_is_opposite_and_unequal_in_both_channels():
     sensor, recording = Sensor(square_gain=0.0, quiet_snr=1000.0, motion_gain=2900.0), quiet(0.2, 2)
     motion = 1e-4 * np.sin(2 * np.pi * 14.0 * recording.time)
     moved = Recording(recording.time, recording.position, recording.feed, motion, recording.spectrum, 1000)
@@ -55,7 +55,7 @@ def test_motion_stands_in_both_channels_opposite_and_unequal():
     assert np.ptp(x) == pytest.approx(2 * 2900.0 * 1e-4 * np.cos(sensor.angle), rel=0.1)
 
 
-def test_the_square_of_the_motion_stands_in_both_channels_alike():
+def test_squared_motion_is_equal_in_both_channels():
     """The same noise with and without it: what differs is k2 (y/R)^2 without its mean, to rounding."""
     motion, bore = 2e-3 * np.sin(2 * np.pi * 14.0 * quiet(0.2, 2).time), 0.0242
     both = []
@@ -81,7 +81,7 @@ def test_supports_are_where_they_were_put():
     assert np.abs(x - y).max() < 0.05 * sensor.support_signal
 
 
-def test_noise_is_told_by_period_and_follows_the_vibration():
+def test_measured_noise_follows_the_vibration():
     """A tone of 14 Hz, louder every second: X has it times k1 cos(angle), less what means over 10 ms take, 3.2 %."""
     sensor, still = Sensor(square_gain=0.0, quiet_snr=1000.0, motion_gain=2900.0), quiet(0.2, 20)
     amplitude = 1e-5 * np.arange(1, 21)
@@ -128,7 +128,7 @@ def test_the_command_writes_what_the_rig_would(tmp_path, capsys):
     assert "not passed: the flaw at 30 m; the sensor moved from 2.50 to 4.5" in said
 
 
-def test_what_is_wrong_is_named_before_anything_is_done(tmp_path, capsys):
+def test_signal_checks_arguments_first(tmp_path, capsys):
     for asked, message in (
         (["--flaws", "30"], "flaws: '30' is not POSITION:DEPTH"),
         (["--flaws", "70:20"], "flaws: position of '70:20' = 70.0 m is outside the accepted range 0 to 60 m"),
@@ -141,7 +141,7 @@ def test_what_is_wrong_is_named_before_anything_is_done(tmp_path, capsys):
     assert not (tmp_path / "out").exists()
 
 
-def test_the_filter_knows_a_burst_in_its_own_stretch():
+def test_filter_uses_the_noise_of_its_own_segment():
     """Silence but for a quarter of a second of 14 Hz: the second with the burst in its middle is that of its stretch.
 
     Seconds that end before the burst tell nothing of it; one that has it in its middle tells the most that any can.

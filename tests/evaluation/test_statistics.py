@@ -202,7 +202,7 @@ def test_the_mean_curve_counts_and_not_the_mean_depth():
     assert depths_of(table).iloc[0]["a50_percent_wall"] == pytest.approx(100 * depth_found(curve, 0.5), rel=1e-3)
 
 
-def test_one_tube_has_an_a90_but_no_interval_no_band_and_no_a90_95():
+def test_one_tube_has_an_a90_without_interval():
     table = found(one=[7.5])
     depths = depths_of(table).iloc[0]
     assert depths["a90_percent_wall"] == pytest.approx(20.0 * (4.6 + 1.2816) / 7.5, rel=2e-3)
@@ -250,7 +250,7 @@ def test_bundle_hours_of_two_tubes_in_closed_form(tubes):
         assert abs(end * 3600.0 / tubes - exact) <= 3.9 * error  # chance of 1e-4 each
 
 
-def test_equal_times_give_exact_hours_and_a_beta_binomial_number_of_second_passes():
+def test_hours_and_second_passes_of_equal_times():
     """Shares as in Brown, Cai and DasGupta 2001 (Jeffreys, n = 10); one simulated tube has a share but no interval."""
     times, flags = np.full(10, 360.0), np.arange(10) < 1
     hours, share, added = bundle_hours(times, flags, 500)

@@ -53,7 +53,7 @@ def sleeping(task):
     return int(told.read_text())
 
 
-def test_every_task_comes_back_once_and_before_slower_ones():
+def test_every_task_returns_once():
     """Where the work runs; Ray's part of joblib with threads in the place of a cluster."""
     with pytest.MonkeyPatch.context() as patch:
         assert sorted(TWO.map(square, range(20))) == [(k, k * k) for k in range(20)]
@@ -63,7 +63,7 @@ def test_every_task_comes_back_once_and_before_slower_ones():
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:a worker was lost")
-def test_what_is_lost_with_a_worker_is_done_again_and_comes_once(tmp_path):
+def test_tasks_lost_with_a_worker_are_repeated_once(tmp_path):
     results = [result for _, result in TWO.map(halting, [(str(tmp_path), k) for k in range(3)])]
     assert (tmp_path / "died").exists()
     assert sorted(results) == [0, 10, 20]
@@ -76,7 +76,7 @@ def test_a_task_that_always_kills_its_worker_is_an_error():
         list(TWO.map(os._exit, [1]))
 
 
-def test_an_error_in_the_work_comes_with_its_trace_and_is_not_tried_again():
+def test_error_of_a_worker_has_its_trace_and_no_retry():
     with pytest.raises(ValueError, match="task 0") as caught:
         list(TWO.map(broken, [0]))
     assert "in broken" in str(caught.value.__cause__)

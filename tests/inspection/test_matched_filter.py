@@ -177,7 +177,7 @@ def test_freedom_of_a_mean_of_spectra(passed, deviation, seeds):
 
 
 @pytest.mark.parametrize("passed", [2.0, 1.0, 0.5, 0.25, 0.1, 0.05, 0.005])
-def test_the_last_second_has_its_share_of_the_mean(passed):
+def test_last_second_has_its_fraction_of_the_mean(passed):
     """Weights of all spectra times their share of the last second; spectra without end fall off as exp(-t/m)."""
     r, j = retained_weight(passed), np.arange(round(40.0 / passed))
     assert ((1.0 - r) * r**j * np.maximum(1.0 - j * passed, 0.0)).sum() == pytest.approx(NEWEST_SHARE, abs=1e-12)
@@ -249,7 +249,7 @@ def motion(seeds):
 
 @pytest.mark.slow
 @pytest.mark.processor
-def test_one_motion_measures_the_same_with_and_without_time_lapse(seeds):
+def test_time_lapse_does_not_change_what_is_measured(seeds):
     """In seconds, as ``standard`` and ``reference`` take it, and in quarters, as ``fast`` does.
 
     The logarithm of the ratio, 0.0118, and its deviation from probe to probe are of 32 others; 16 each at 35 and 50 m

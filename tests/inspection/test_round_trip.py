@@ -42,7 +42,7 @@ def test_one_pass_has_the_metrics_of_an_insertion(scored_pass, segment, step):
     assert with_pod_columns(either.kpis(60.0, 60.0)) == expected
 
 
-def test_a_flaw_is_called_where_either_pass_calls_it():
+def test_flaw_is_detected_if_either_pass_detects_it():
     """In over 0 to 40 m at S/N 2 and 6, back over 10 to 60 m at 8 and 3: half of the false calls each."""
     either = RoundTripMetrics(SENSOR, "best")
     either.add("in", 0.0, 30.0, signal(2.0, peak_to_peak=0.1))

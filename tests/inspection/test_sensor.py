@@ -37,7 +37,7 @@ def test_a_plant_carries_its_sensor_to_the_task():
         Plant(task={"sensor": {}})
 
 
-def test_gains_follow_the_reference_points_unless_motion_gain_is_given():
+def test_gains_follow_the_reference_points():
     assert Sensor(groove_signal=3.0).gain == pytest.approx(3.0 * Sensor().gain)
     assert Sensor(motion_gain=1e3, shaken_snr=9.0).gain == 1e3  # then shaken_snr is not used
     assert Sensor(quiet_snr=15.0).noise_density == pytest.approx(0.25 * Sensor().noise_density)
@@ -93,7 +93,7 @@ def noise_and_vibration(scenes, method, time_step, seeds, settle, seconds):
 
 @pytest.mark.slow
 @pytest.mark.processor
-def test_rf_noise_goes_with_radial_vibration_over_the_scenes_of_the_figures(seeds):
+def test_rf_noise_follows_radial_vibration(seeds):
     """As the study measured at 0.2 m/s, its figures 3 and 4: the ranks agree.
 
     Nine scenes from 0.002 to 0.5 mm, of which three and three are as loud as each other and change places by chance.

@@ -171,7 +171,7 @@ def test_a_growing_and_a_shrinking_probe_are_restored_to_the_bit(method):
         assert first.time[0] == pytest.approx(0.02)
 
 
-def test_a_group_in_insertion_and_withdrawal_equals_single_probes():
+def test_group_of_both_directions_equals_single_probes():
     scenes = [Scene.model_validate(INSERTED | {"carrier_length": length}) for length in (1.0, 3.0, 2.0)]
     speeds, airs = np.array([-0.2, 0.2, -0.1]), np.array([-0.02, 0.02, -0.01])
     batch = SimulatorBatch(scenes, "imex", 2e-4, threads=1, **DRIVEN)
@@ -187,7 +187,7 @@ def test_a_group_in_insertion_and_withdrawal_equals_single_probes():
 
 
 @pytest.mark.parametrize("method", ["imex", "imex32"])
-def test_a_cable_without_contact_is_not_changed_by_contact_in_its_group(method):
+def test_contact_of_one_probe_does_not_change_the_group(method):
     """A group looks for the wall in a step in which one of its probes is near it, and in no other.
 
     The weak one, pulled hard, is pressed into the inner wall, 5.325 mm off for a cable: in all looks but the first.

@@ -180,7 +180,7 @@ def test_logs_of_one_tube_share_its_friction(short: None, seeds: Seeds) -> None:
 
 
 @pytest.mark.parametrize("short", [(10, 20)], indirect=True)
-def test_two_tubes_share_all_but_friction_and_the_same_logs_give_the_same_draws(short: None) -> None:
+def test_two_tubes_share_all_unknowns_but_friction(short: None) -> None:
     rng = np.random.default_rng(0)
     own, every = {"a": 0.3, "b": 0.1}, LENGTH[::4]
     cases = [log_like(np.array([mu, 9e4, 0.44, 6e-5]), rng, tube=k, length=every) for k, mu in own.items()]
@@ -192,7 +192,7 @@ def test_two_tubes_share_all_but_friction_and_the_same_logs_give_the_same_draws(
 
 
 @pytest.mark.processor
-def test_misfit_is_small_for_its_own_logs_and_large_for_random_numbers(seeds: Seeds) -> None:
+def test_misfit_of_own_logs_and_of_random_numbers(seeds: Seeds) -> None:
     """The mean square of its own deviations is 1 within its scatter; numbers that follow nothing are far beyond."""
     rng = np.random.default_rng(seeds(1)[0])
     case = log_like(TRUTH, rng)
@@ -203,7 +203,7 @@ def test_misfit_is_small_for_its_own_logs_and_large_for_random_numbers(seeds: Se
     assert (Likelihood(RESPONSE, [with_measurements(case, noisy)]).misfit(0, TRUTH) > RESPONSE.misfit).any()
 
 
-def test_too_short_or_silent_a_log_is_refused() -> None:
+def test_short_logs_and_logs_without_channels_are_refused() -> None:
     """Before anything is sampled, by its name."""
     with pytest.raises(ValueError, match="log: 5 metres of insertion, at least 8 are needed"):
         sample_posterior(RESPONSE, [log_like(TRUTH, None, length=LENGTH[:5])], PRIOR)
@@ -219,7 +219,7 @@ def settled(gain: float, channels: Sequence[str] = CHANNELS) -> Likelihood:
     return likelihood
 
 
-def test_a_missing_channel_is_left_out_and_the_scatter_settles_as_a_geometric_mean() -> None:
+def test_missing_channels_and_the_settled_scatter() -> None:
     """The likelihood of some channels is that of the others integrated out: their block of the covariance."""
     case = log_like(TRUTH, np.random.default_rng(1))
     part = with_measurements(case, {n: case.metres.measured[n] for n in CHANNELS[1:]})
@@ -246,7 +246,7 @@ def test_the_best_gain_is_exact() -> None:
     assert near[0.0] > max(near[-0.02], near[0.02])
 
 
-def test_a_gauge_that_reads_too_much_is_found() -> None:
+def test_excess_gain_of_a_gauge_is_found() -> None:
     """A gain of 1.5 is beyond the 15 % that drag may be, and the tension's bend fixes the friction; 1.1 is within."""
     true, drag, scaled = (fit_gain(settled(gain), 0, PRIOR) for gain in (1.0, 1.1, 1.5))
     assert true
@@ -321,7 +321,7 @@ def test_the_shipped_log_is_calibrated(short: None, tmp_path: Path, capsys: pyte
     assert plant.scene.contact.friction == pytest.approx(record["friction"]["mean"], abs=0.01)
 
 
-def test_arguments_that_do_not_fit_are_refused_before_a_log_is_read() -> None:
+def test_arguments_are_checked_before_a_log_is_read() -> None:
     """The files need not even exist."""
     usual: dict[str, Any] = {
         "paths": [Path("a.csv"), Path("b.csv")], "plant": Plant(), "helix_diameters": [], "tubes": [], "columns": []

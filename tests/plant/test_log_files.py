@@ -190,7 +190,7 @@ FOREIGN = {
 }  # fmt: skip
 
 
-def test_foreign_files_are_read_as_they_are_meant(tmp_path):
+def test_foreign_files_are_read(tmp_path):
     path, failures = tmp_path / "rig.log", {}
     for name, case in FOREIGN.items():
         content, columns = case if isinstance(case, tuple) else (case, ())
@@ -424,7 +424,7 @@ def test_a_unit_behind_a_number_is_no_marker(tmp_path):
         read_log(path)
 
 
-def test_a_marker_among_like_numbers_is_a_number(tmp_path):
+def test_marker_among_similar_numbers_is_a_number(tmp_path):
     path = tmp_path / "rig.csv"
     log = read_log(rig(path, [f"-{600 + k}" if k != 3 else "-999.25" for k in range(8)]))
     assert log.measured["root_tension"][3] == pytest.approx(-603.0)
@@ -434,7 +434,7 @@ def test_a_marker_among_like_numbers_is_a_number(tmp_path):
     assert (log.repairs.missing, log.notes) == (0, ())
 
 
-def test_an_overload_that_repeats_is_refused_unless_it_is_declared(tmp_path):
+def test_repeated_overload_must_be_declared(tmp_path):
     path = tmp_path / "rig.csv"
     overloads = ["327.67", "-327.68", "327.67", "-327.68", "327.67"]
     for marked in (overloads[:1] + overloads[2:3], overloads[:3]):
@@ -496,7 +496,7 @@ def test_the_form_of_times_is_declared(tmp_path):
         read_log(path, time_format="%Q")
 
 
-def test_a_feed_that_is_not_needed_is_left_out(tmp_path):
+def test_unneeded_feed_column_is_left_out(tmp_path):
     path = tmp_path / "rig.csv"
     for feed, value, problem in (
         ("speed [rpm]", "1450", "column 'speed [rpm]': 'rpm' is not a unit of feed_speed."),
@@ -513,7 +513,7 @@ def test_a_feed_that_is_not_needed_is_left_out(tmp_path):
             read_log(path)  # here it is needed
 
 
-def test_times_that_make_no_sense(tmp_path):
+def test_invalid_times_are_refused(tmp_path):
     path, seconds = tmp_path / "rig.csv", range(8)
     for origin in (45_720.5, 738_949.5):  # Excel, MATLAB
         log = read_log(rig(path, TENSIONS, times=[f"{origin + t / 86_400:.9f}" for t in seconds], time="Time"))
@@ -576,7 +576,7 @@ def test_sizes_and_pipes(tmp_path, monkeypatch):
         read_log(path)
 
 
-def test_columns_and_bounds_that_make_no_sense(tmp_path):
+def test_invalid_columns_and_bounds_are_refused(tmp_path):
     path = tmp_path / "rig.csv"
     path.write_text(BAD)
     for columns, message in {

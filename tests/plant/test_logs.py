@@ -47,7 +47,7 @@ def written(path, time, encoder, **measured):
 @QUIET
 @given(insertions(), st.sampled_from([0.2, 1.0, 5.0]))
 @example((np.arange(9.0), np.full(9, 5.0), np.full(9, 5.0)), 1.0)
-def test_thinning_keeps_what_is_fed_and_a_clean_file_stays_as_it_is(tmp_path_factory, insertion, every):
+def test_thinning_keeps_the_length_fed(tmp_path_factory, insertion, every):
     time, length, encoder = insertion
     folder, bounds = tmp_path_factory.mktemp("log"), Bounds(every=every)
     rf_noise = np.random.default_rng(len(time)).uniform(1e-6, 1e-4, len(time))
@@ -69,7 +69,7 @@ def test_thinning_keeps_what_is_fed_and_a_clean_file_stays_as_it_is(tmp_path_fac
     assert played == pytest.approx(log.inserted_length[1:] - log.inserted_length[0], abs=1e-5)
 
 
-def test_standstills_last_and_are_exactly_none_and_slow_creeping_is_none(tmp_path):
+def test_standstills_are_exact_and_creep_is_none(tmp_path):
     time = np.arange(0.0, 60.0, 0.1)
     speed = np.where((time >= 20.0) & (time < 35.0), 0.0, 0.1)
     length = 5.0 + np.append(0.0, np.cumsum(speed[:-1] * 0.1))
@@ -132,7 +132,7 @@ def test_heads():
     assert {head: (quantity_of(head), split_head(head)[1]) for head in expected} == expected
 
 
-def test_what_went_wrong_is_repaired_and_counted(tmp_path):
+def test_repairs_of_a_log_are_counted(tmp_path):
     path = tmp_path / "rig.csv"
     path.write_text(
         "time [s];length [m];air [m3/h];noise [µm]\n"
@@ -150,7 +150,7 @@ def test_what_went_wrong_is_repaired_and_counted(tmp_path):
     assert log.measured["rf_noise_rms"][1] == pytest.approx(np.sqrt(12.5) * 1e-6)
 
 
-def test_speed_alone_is_integrated_and_speed_beside_the_encoder_compared(tmp_path):
+def test_speed_is_integrated_or_compared_with_the_encoder(tmp_path):
     path = tmp_path / "rig.csv"
     time = np.arange(0.0, 20.0, 0.1)
     speed = 0.1 + 0.005 * time
@@ -207,7 +207,7 @@ def test_the_shipped_log_is_shown_and_made_a_schedule(tmp_path, monkeypatch, cap
     assert policy.schedule.start_length == pytest.approx(log.inserted_length[0])
 
 
-def test_columns_may_be_given_several_times_and_the_input_is_never_written(refused, capsys):
+def test_repeated_columns_and_protected_input(refused, capsys):
     rig = Path("rig.csv")
     rig.write_text(RIG)
     assert main(["log", "rig.csv", "--columns", "v=feed_speed[mm/s]", "--columns", "Weg=inserted_length"]) == 0
@@ -222,7 +222,7 @@ def test_columns_may_be_given_several_times_and_the_input_is_never_written(refus
         refused(["log", "rig.csv", "--output", output], f"'{Path(output)}' is the log itself")
 
 
-def test_what_a_file_says_does_not_reach_the_terminal_raw(refused, capsys):
+def test_texts_of_files_are_escaped_in_the_terminal(refused, capsys):
     name, formula = "rig\x1b[31m\n.csv", RIG.replace("v;", "=cmd|' /C calc'!A0;")
     Path(name).write_text(formula.replace("Zeit", "Zeit\u202e"))
     refused(["log", name], "no column for time")

@@ -60,7 +60,7 @@ def test_the_cheapest_path_is_that_of_all_paths() -> None:
     assert cheapest_path(staged, change) == list(paths[int(np.argmin(costs))])
 
 
-def test_it_is_what_the_device_can_do_and_keeps_the_drive() -> None:
+def test_recommended_schedule_fits_the_device() -> None:
     """Whole steps within the ranges, to the end of the helix, with the margin of the root tension."""
     config = PLANT.configured()
     optimum = optimal_schedule(TUBES, RESPONSE, config)
@@ -73,7 +73,7 @@ def test_it_is_what_the_device_can_do_and_keeps_the_drive() -> None:
     assert optimum.tension >= MARGIN * config.required_tension
 
 
-def test_it_is_expected_to_beat_what_ships_and_what_is_near() -> None:
+def test_recommended_schedule_beats_shipped_and_near_ones() -> None:
     """No constant change of its feed is expected to be better by more than the price on change could hide."""
     config = Plant().configured()
     schedule = optimal_schedule(TUBES, RESPONSE, config).schedule
@@ -93,7 +93,7 @@ def test_it_is_expected_to_beat_what_ships_and_what_is_near() -> None:
     assert rough < 0.7 * slippery
 
 
-def test_the_interval_is_of_the_samples() -> None:
+def test_interval_of_the_expected_reward() -> None:
     """That of two equal tubes is their reward; of different ones it holds the mean."""
     config = Plant().configured()
     alone, twice, different = (optimal_schedule(tubes, RESPONSE, config) for tubes in (TUBES[:1], TUBES[:1] * 2, TUBES))
@@ -131,7 +131,7 @@ def test_feeds_end_at_the_speed_that_the_instrument_permits() -> None:
     assert PlantData.of(limited).feed_speeds == pytest.approx((0.03, 0.135))
 
 
-def test_it_takes_the_probe_through_the_route() -> None:
+def test_recommended_air_carries_the_probe_through_the_route() -> None:
     """With 1.5 times the drag that 12 m of rising tube need where lost drive is not scored yet, then by the tension."""
     tables = PLANT.model_dump() | {"route": ({"length": 12.0, "slope": 90.0}, {"helix": True})}
     plant = Plant.model_validate(tables)
@@ -180,7 +180,7 @@ def test_a_device_without_safe_air_is_refused() -> None:
             safe_air(CONFIG.model_copy(update=update), TRAIN.contexts[:6], (0.1, 0.4))
 
 
-def test_what_is_outside_the_training_ranges_is_reported() -> None:
+def test_values_outside_the_training_ranges_are_reported() -> None:
     """Bore, friction and probe, each with value and range; nothing within them."""
     assert outside_training(TUBES, RESPONSE, PLANT.configured()) == []
     odd = Plant(tube=Tubes(inner_diameter=28e-3), probe=Probe(line_density=0.13)).configured()
@@ -190,7 +190,7 @@ def test_what_is_outside_the_training_ranges_is_reported() -> None:
 
 
 @pytest.mark.slow
-def test_it_is_simulated_against_others(tmp_path: Path) -> None:
+def test_recommended_schedule_is_compared_in_simulation(tmp_path: Path) -> None:
     """The schedule, and the report with a schedule to compare with, on tubes of the plant."""
     (tmp_path / "tube.toml").write_text(TUBE)
     own = tmp_path / "own.csv"
@@ -205,7 +205,7 @@ def test_it_is_simulated_against_others(tmp_path: Path) -> None:
     assert "recommended" in (tmp_path / "my-confirmed" / "report.html").read_text()
 
 
-def test_it_is_written_without_a_simulation(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_recommendation_without_simulation(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """``--no-simulated``: the schedule and how it was found, and no folder of episodes."""
     (tmp_path / "tube.toml").write_text(TUBE)
     arguments = ["--tube", str(tmp_path / "tube.toml"), "--output", str(tmp_path / "my.csv"), "--no-simulated"]
@@ -228,7 +228,7 @@ def test_it_is_written_without_a_simulation(tmp_path: Path, capsys: pytest.Captu
 
 @pytest.mark.filterwarnings("ignore:.*the calibration is misspecified")
 @pytest.mark.parametrize("misspecified", [False, True])
-def test_a_misspecified_calibration_needs_anyway(
+def test_misspecified_calibration_needs_the_option_anyway(
     misspecified: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "c.json").write_text(json.dumps({"misspecified": misspecified, "draws": {"friction": [0.12, 0.15]}}))

@@ -47,7 +47,7 @@ def flat_map(snr: float, deviation: float) -> VibrationMap:
     return replace(SNR.vibration, layers=(*hidden, last), scaling=None)
 
 
-def test_a_constant_signal_to_noise_has_the_a90_of_its_closed_form() -> None:
+def test_a90_of_a_constant_snr() -> None:
     """Without scatter SNR a/20 % - z = 1.2816, with 0.1 decades an integral; then the fastest feed is the schedule."""
     z = threshold(SENSOR, 60.0)
     found = MapSearch(TUBES, flat_map(6.0, np.exp(-5.0)), SNR.config).fastest(100.0)
@@ -65,7 +65,7 @@ COARSE = SNR.config.model_copy(update={"feed_speed_step": 0.02, "air_supply_step
 SEARCH = MapSearch(TUBES, SNR.vibration, COARSE)
 
 
-def test_the_schedule_is_within_the_target_and_no_constant_one_is_faster() -> None:
+def test_schedule_meets_the_target_faster_than_constant_ones() -> None:
     """Of all 51 settings of feed and air; a deeper flaw takes less time."""
     g = len(SEARCH.settings.feed)
     constants = [SEARCH._candidate([k] * len(SEARCH.settings.lengths)) for k in range(g)]

@@ -56,7 +56,7 @@ def test_an_agent_survives_its_file(algorithm, tmp_path):
     assert loaded.describe()["bundle"]
 
 
-def test_an_agent_remembers_by_its_state_forgets_in_a_new_episode_and_picks_what_it_looks_at(tmp_path):
+def test_agent_state_resets_with_a_new_episode(tmp_path):
     agent = saved(tmp_path / "agent.safetensors")
     _, state = agent.predict(observations(seed=1), deterministic=True)
     remembering, _ = agent.predict(observations(seed=2), state, np.array([False, True, False]), deterministic=True)
@@ -108,7 +108,7 @@ def test_pickles_are_refused_and_not_executed(tmp_path):
     assert victim.exists()  # so the poison would have worked
 
 
-def test_statistics_of_another_number_of_observations_are_refused():
+def test_statistics_of_another_size_are_refused():
     statistics = {"mean": (0.0,), "var": (1.0,), "clip_obs": 10.0, "epsilon": 1e-8}
     fields = described().model_dump() | {"normalisation": statistics}
     with pytest.raises(ValueError, match="normalisation: mean and var must have 33 values each"):
@@ -140,7 +140,7 @@ def test_view_averages_and_logarithmic_feed():
     assert view.agent_actions(TASK, view.env_actions(TASK, actions)) == pytest.approx(actions, abs=1e-4)
 
 
-def test_an_agent_never_blows_less_than_its_least_air():
+def test_agent_keeps_its_min_air():
     """Its air action spans from there to the task's most; a teacher's lower air becomes the least."""
     least = 45.0 / 3600.0
     view = View(least_air_supply_rate=least)

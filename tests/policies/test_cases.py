@@ -41,7 +41,7 @@ def test_equivalent_air_pulls_as_strongly():
         assert equivalent_air(equal, feed, Scene(), plant.scene) == pytest.approx(air)
 
 
-def test_schedules_reach_the_end_of_the_helix_within_the_plants_ranges():
+def test_schedules_fit_the_helix_and_ranges_of_the_plant():
     plant = Plant(
         tube={"helix_length": 80.0}, feed={"feed_speeds": [0.05, 0.2]}, air={"air_supply_rates": [0.01, 0.03]}
     )
@@ -59,7 +59,7 @@ def test_schedules_reach_the_end_of_the_helix_within_the_plants_ranges():
 
 
 @pytest.mark.parametrize("passes", ["in", "both"])
-def test_what_policies_were_made_for_is_said_or_refused(passes):
+def test_policies_outside_their_domain_warn_or_are_refused(passes):
     rough = Plant(contact={"friction": {"low": 0.2, "high": 0.4}}, tube={"inner_diameter": 22.1e-3})
     case = load_case(rough, "test", 4, passes)
     with pytest.warns(OutsideDomain) as caught:
@@ -79,7 +79,7 @@ def test_what_policies_were_made_for_is_said_or_refused(passes):
         )
 
 
-def test_domains_know_other_probes_if_a_policy_was_made_for_them_and_reach_as_far_as_the_map():
+def test_domains_cover_probes_and_the_range_of_the_map():
     config = OTHER.configured().full_observation
     for spec, sees in (("ppo", False), ("ppo-any-probe", True), ("adaptive", True), ("tension-scheduled", False)):
         deviations = make_policy(spec, config).domain.outside(config, [Context()])
@@ -132,7 +132,7 @@ def small(tmp_path_factory):
     return file
 
 
-def test_a_map_is_found_beside_the_file_of_its_tubes_and_one_of_another_tube_is_refused(small, tmp_path):
+def test_map_beside_the_tube_file_must_be_of_that_tube(small, tmp_path):
     case = load_case(small, "test", 6)
     assert map_file(small).name == "small-map.npz"
     assert case.vibration.scene == Plant.from_toml(small).scene
@@ -186,7 +186,7 @@ def test_a_file_that_is_not_valid_or_not_there_is_named(tmp_path, capsys):
     assert "shipped tubes: example" in missing.value.hint
 
 
-def test_a_probe_with_a_longer_guide_goes_into_a_helix_that_is_full():
+def test_probe_with_a_longer_guide_fits_a_full_helix():
     """The improved probe has 10 m of guide cable, the plant's own 2.5 m; table 2's helix has room for it."""
     plant = Plant.model_validate({"tube": {"helix_length": 28.0}})
     config = load_case(plant, "test", 1).config

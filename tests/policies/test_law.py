@@ -40,7 +40,7 @@ def written(folder: Path, given: dict[str, Any]) -> Path:
     return path
 
 
-def test_it_is_straight_between_frictions_and_lengths(tmp_path: Path) -> None:
+def test_law_is_linear_between_frictions_and_lengths(tmp_path: Path) -> None:
     """Half-way in both is the mean of four; beyond its ends it is constant; the nearest diameter counts."""
     law = Law.read(written(tmp_path, GIVEN))
     at = np.array
@@ -49,7 +49,7 @@ def test_it_is_straight_between_frictions_and_lengths(tmp_path: Path) -> None:
     np.testing.assert_allclose(air, [0.025, 0.02, 0.03, 0.01])
 
 
-def test_what_is_no_law_is_refused_in_one_line(tmp_path: Path) -> None:
+def test_invalid_laws_are_refused(tmp_path: Path) -> None:
     failures = []
     for change, problem in (
         ({"friction": [0.2, 0.1]}, "friction must ascend"),
@@ -90,7 +90,7 @@ FLAT = {"inserted_length": (5.0, 60.0), "friction": (0.1, 0.2), "tables": (
 """0.3 m/s at a friction of 0.1, 0.1 m/s at 0.2."""
 
 
-def test_it_settles_on_the_friction_of_steady_sliding() -> None:
+def test_law_settles_on_the_friction_of_steady_sliding() -> None:
     """From the middle of its rows with its time constant: after 15 s 1 - 1/e of the way."""
     config = TaskConfig().full_observation
     law, memory = Law.model_validate(GIVEN | {"scene": Scene(), "ranges": {}} | FLAT), np.zeros((2, 1))
@@ -106,7 +106,7 @@ def test_it_settles_on_the_friction_of_steady_sliding() -> None:
 
 @pytest.mark.slow
 @pytest.mark.processor
-def test_it_feeds_by_the_friction_that_the_tension_tells() -> None:
+def test_law_feeds_by_the_friction_from_tension() -> None:
     """In a slippery and in a rough tube the law ends near what its rows for these frictions say.
 
     The law is fed at 5 m by its middle row and has 60 s and more to learn; steady sliding tells friction within 10 %

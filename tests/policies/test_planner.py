@@ -59,7 +59,7 @@ def task(inspects: ScoredPass = "best", measure: str = "displacement", **changes
     return TaskConfig(passes="both", inspects=inspects, vibration_measure=measure, scene=scene, **changes)
 
 
-def test_what_is_held_and_the_suggestion_are_tried_and_draws_depend_on_nothing_but_the_time() -> None:
+def test_candidates_of_the_planner_depend_on_time_only() -> None:
     """In the devices' steps; of both passes the suggestion, and then every second draw, is the fastest feed."""
     config = task(feed_speed_step=0.01, air_supply_step=5.0 / 3600.0)
     held, mapped = np.array([[0.2, 0.02], [0.1, 0.03]]), np.array([[0.3, 0.025], [0.05, 0.01]])
@@ -91,7 +91,7 @@ def test_what_is_held_and_the_suggestion_are_tried_and_draws_depend_on_nothing_b
     assert (np.abs(tried[0, 2::2, 0] / 0.2 - 1.0) < 0.5).all()
 
 
-def test_looking_ahead_leaves_the_episodes_alone_and_needs_no_company() -> None:
+def test_branch_does_not_change_the_episode() -> None:
     """A plan is the same with and without company, and holds until the next one."""
     both = task()
     for planner, begin in (
@@ -110,7 +110,7 @@ def test_looking_ahead_leaves_the_episodes_alone_and_needs_no_company() -> None:
         np.testing.assert_array_equal(steps[0].reward, steps[1].reward)
 
 
-def test_the_best_candidate_earns_most_until_the_end() -> None:
+def test_best_candidate_has_the_max_reward() -> None:
     """By playing every candidate on deep copies, with the map's rest from where each has come to."""
     planner, episodes = InsertionPlanner(CONFIG, candidates=4, periods=3), running()
     actions, states = planner.decide(episodes, [0, 1], episodes.observation, [None, None])
@@ -126,7 +126,7 @@ def test_the_best_candidate_earns_most_until_the_end() -> None:
     assert [(state.feed, state.air) for state in states] == [tuple(row) for row in best.tolist()]
 
 
-def test_nothing_comes_after_the_end_and_lost_drive_costs_what_is_left() -> None:
+def test_remaining_reward_at_the_end_and_after_lost_drive() -> None:
     planner, held = InsertionPlanner(CONFIG), np.tile([0.4, 0.03], (2, 1))
     short = running(TaskConfig(scene={"tube": {"helix_length": 10.0}}), periods=8, feed=0.4)
     assert (planner._rest(short, held) != 0.0).all()
@@ -139,7 +139,7 @@ def test_nothing_comes_after_the_end_and_lost_drive_costs_what_is_left() -> None
     assert (InsertionPlanner(CONFIG, rest="nothing")._rest(running(), held) == 0.0).all()
 
 
-def test_blur_and_another_tube_are_of_the_copies_alone_and_alike_for_all_of_a_probe() -> None:
+def test_blur_and_other_tubes_change_the_copies_only() -> None:
     episodes = running()
     state, scene = episodes.batch.simulators[0].state.d.copy(), episodes.batch.simulators[0].scene
     copies = episodes.fork([0, 0, 1])
@@ -169,7 +169,7 @@ def test_a_planner_holds_to_the_permitted_speed() -> None:
     assert decided[1].max() <= 0.25 + 1e-7
 
 
-def test_the_rest_is_worth_what_the_best_schedule_earns_by_the_map() -> None:
+def test_remaining_reward_is_that_of_the_best_schedule() -> None:
     tube, vibration = TUBES[0], stored_map()
     places = knots(CONFIG)
     schedule = best_schedule_for(tube, CONFIG, 0.0, vibration)
@@ -216,7 +216,7 @@ def test_an_estimated_tube_is_read_from_the_tension(seeds: Callable[[int], Seque
 
 @pytest.mark.slow
 @pytest.mark.processor
-def test_a_planner_beats_the_map_that_it_looks_beyond(seeds: Callable[[int], Sequence[int]]) -> None:
+def test_planner_beats_the_map(seeds: Callable[[int], Sequence[int]]) -> None:
     """Eight runs of both. Of 16 others the planner gained 2.98 +- 1.11 over the map's policy, of 7.1 against 4.1.
 
     But for 1e-4 the mean of eight is not less by 2.52: a planner that gains nothing is noticed nine times in ten.
@@ -271,7 +271,7 @@ def test_copies_of_an_episode_do_as_it_does(inspects: ScoredPass, measure: str) 
 
 
 @pytest.mark.parametrize("inspects", ["best", pytest.param("back", marks=pytest.mark.slow)])
-def test_no_episode_earns_more_than_the_rest_is_worth(inspects: ScoredPass) -> None:
+def test_remaining_reward_bounds_every_episode(inspects: ScoredPass) -> None:
     """At every period of inspections that are fast and quiet, and shaken by their feed."""
     config = task(inspects)
     rng = np.random.default_rng(5)
@@ -289,7 +289,7 @@ def test_no_episode_earns_more_than_the_rest_is_worth(inspects: ScoredPass) -> N
             assert (to_come[0] > worth[0] - 0.6).all()
 
 
-def test_the_rest_is_what_is_left_of_both_ways() -> None:
+def test_remaining_reward_of_both_passes() -> None:
     config = task()
     episodes = begun(config)
     per_metre = config.time_weight / 0.4 + config.air_weight * config.air_supply_rates[0] / 0.4
@@ -309,7 +309,7 @@ def test_the_rest_is_what_is_left_of_both_ways() -> None:
     assert rest(hanging)[0] == pytest.approx(-uninspected_weight(config) * (left[0] + 3.0))
 
 
-def test_what_is_earned_ends_with_the_episode() -> None:
+def test_reward_of_holding_ends_with_the_episode() -> None:
     """A copy that is back stays at what it earned; others go on."""
     config = task()
     episodes = begun(config)
@@ -339,7 +339,7 @@ def test_a_planned_inspection_is_fast_and_comes_back() -> None:
     assert (table["reward"] <= most).all()
 
 
-def test_planners_play_by_name_and_say_what_they_cannot() -> None:
+def test_planners_by_name_and_their_refusals() -> None:
     config = task()
     assert make_policy("planner-estimated", CONFIG).describe()["tube"] == "estimated"
     assert make_policy("planner", config).describe()["blur"] == 0.0

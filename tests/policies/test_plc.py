@@ -83,7 +83,7 @@ def test_friction_is_that_of_steady_sliding():
     assert np.isfinite(friction_of(np.ones(50), still, PLANT)).all()
 
 
-def test_fast_with_little_air_up_to_the_onset_then_slow_with_all_of_it():
+def test_law_is_fast_before_the_onset_and_slow_after():
     law = PlcProportional(CONFIG, Constants(shift=0.0))
     lengths = np.linspace(5.0, 60.0, 111)
     rows, memory = measured(1e-5, lengths, 1.5, FRICTION), np.zeros((111, 2))
@@ -100,7 +100,7 @@ def test_fast_with_little_air_up_to_the_onset_then_slow_with_all_of_it():
     assert (louder[0] <= feed).all()
 
 
-def test_the_trimmed_feed_falls_and_rises_as_fast_as_its_time_says():
+def test_trimmed_feed_follows_its_time_constant():
     """With noise far from the aim the trim is linear in time, by the least and the greatest error, up to its limit."""
     slow = Constants(slow_feed=0.1)  # far from both ends of the device's range
     law, trimmed = PlcProportional(CONFIG, slow), PlcIntegral(CONFIG, slow, TRIM)
@@ -162,7 +162,7 @@ def test_structured_text_does_what_the_policy_does(trim, most_air):
     assert (np.ptp(trims) > 0.05) == (trim is not None and most_air == 130.0)
 
 
-def test_text_has_no_exponents_and_a_table_says_what_the_law_does():
+def test_structured_text_and_table_of_the_law():
     text = structured_text(Constants(quiet=1e-7, slow_feed=2.0), PLANT)
     assert "e-" not in text.split("*)", 1)[1]
     assert "QUIET : REAL := 0.0000001;" in text
@@ -180,7 +180,7 @@ def test_text_has_no_exponents_and_a_table_says_what_the_law_does():
     assert set(tabulated["air_supply_m3_per_h"].round(6)) == {45.0, 130.0}
 
 
-def test_the_text_begins_with_the_recipe_and_ends_with_the_scaling_of_the_noise():
+def test_structured_text_has_recipe_and_noise_scaling():
     """Plant units in the recipe; 0.1 mm of motion are volts of the channel by the sensor's gain."""
     schedule = Schedule("inserted_length", "linear", (5.0, 60.0), (0.4, 0.08519), (0.0125, 130.0 / 3600.0))
     sensor = Sensor(motion_gain=2500.0)
@@ -202,7 +202,7 @@ def test_the_text_begins_with_the_recipe_and_ends_with_the_scaling_of_the_noise(
     assert refused.startswith("(* No recommended schedule: too little (air) *)")
 
 
-def test_a_recipe_is_the_recommended_schedule_or_says_why_there_is_none():
+def test_recipe_is_the_recommended_schedule_or_a_reason():
     recipe = recipe_of(Plant(tube=Tubes(helix_length=24.0)))
     assert recipe.position[-1] == 24.0
     weak = Plant(air=Supply(air_supply_rates=(0.002, 0.004)), task={"required_tension": 5.0})
@@ -211,7 +211,7 @@ def test_a_recipe_is_the_recommended_schedule_or_says_why_there_is_none():
     assert "misspecified" in recipe_of(Plant(posterior=wrong))
 
 
-def test_stored_constants_go_by_name_and_damaged_files_are_refused(tmp_path):
+def test_constants_are_read_by_name_or_refused(tmp_path):
     described = {"policy": "PlcProportional"} | read_constants().model_dump()
     assert make_policy("plc-proportional", CONFIG).describe() == described
     assert make_policy("plc-integral", CONFIG).describe()["aim"] == read_trim().aim
@@ -229,7 +229,7 @@ def test_stored_constants_go_by_name_and_damaged_files_are_refused(tmp_path):
                 read(path)
 
 
-def test_a_plant_that_the_law_was_not_made_for_is_told_so(tmp_path):
+def test_law_warns_of_a_plant_outside_its_range(tmp_path):
     file = tmp_path / "mine.toml"
     for text, warned in (
         ("[task]\nrequired_tension = 0.8\n", None),

@@ -98,7 +98,7 @@ def test_fixed_laws_do_what_they_are_called():
     assert feed_of(action)[0] > 0.2
 
 
-def test_a_schedule_beyond_the_device_is_told(tmp_path):
+def test_schedule_beyond_the_device_warns(tmp_path):
     path = tmp_path / "fast.csv"
     path.write_text("inserted_length_m,feed_speed_m_per_s,air_supply_m3_per_h\n5,1.5,63\n60,0.1,63\n")
     with pytest.warns(UserWarning, match=r"fast.csv: feed speed of 0.1 to 1.5 m/s is outside .* 0.02 to 0.4 m/s"):

@@ -77,7 +77,7 @@ def test_the_length_of_a_log_is_followed_for_any_speeds_in_range(tmp_path, field
         assert targets.max() <= fast * (1.0 + 1e-6)
 
 
-def test_slow_feeds_come_out_as_stops_and_starts_and_behind_its_end_a_log_feeds_on(tmp_path):
+def test_replay_of_slow_feeds_and_beyond_the_log(tmp_path):
     """Rigs stop at last; an episode that stood still with them would never end."""
     config = TaskConfig()
     policy = replay_of(tmp_path, log_of([0.3, 0.0], [20.0, 10.0]), config)
@@ -115,7 +115,7 @@ def test_a_log_is_followed_from_where_the_episode_begins(tmp_path):
     assert free == pytest.approx(5.0 + 0.2 * np.arange(1.0, 101.0), abs=ROUNDING)
 
 
-def test_what_a_schedule_has_fed_is_its_integral():
+def test_fed_length_is_the_integral_of_a_schedule():
     fine = np.linspace(2.0, 12.0, 1_000_001)
     for interpolation, times in (("linear", 0.5 * (fine[1:] + fine[:-1])), ("steps", fine[:-1])):
         schedule = Schedule("time", interpolation, (2.0, 4.0, 9.0), (0.1, 0.3, 0.0), (0.02,) * 3)
@@ -222,7 +222,7 @@ def test_a_withdrawal_is_read_as_logs_are(tmp_path):
     assert read_withdrawal(path) is None
 
 
-def test_errors_in_schedules_name_their_cause_and_no_option_of_other_commands(tmp_path):
+def test_errors_in_schedules_name_their_cause(tmp_path):
     path, heads = tmp_path / "mine.csv", "correct the file: a schedule has heads like 'length [m]'"
     for text, problem in {
         "length;feed;air\n5;0,2;63": f"column 'length' has no unit - {heads}",

@@ -95,7 +95,7 @@ def test_the_cost_of_a_metre_is_its_expectation(mean, deviation):
     assert cost == pytest.approx(expected, rel=0.03)
 
 
-def test_the_stored_map_survives_its_file_and_tells_held_out_episodes(tmp_path):
+def test_stored_map_predicts_held_out_episodes(tmp_path):
     (tmp_path / "map.npz").write_bytes(stored_map().to_bytes())
     loaded = VibrationMap.load(tmp_path / "map.npz")
     features = np.random.default_rng(0).normal(size=(20, 7))
@@ -110,7 +110,7 @@ def test_the_stored_map_survives_its_file_and_tells_held_out_episodes(tmp_path):
     )
 
 
-def test_best_schedule_for_a_tube_is_the_least_cost_and_slower_where_friction_is_high():
+def test_best_schedule_of_a_tube_has_the_min_cost():
     mild, rough = (Context(friction=mu) for mu in (0.10, 0.24))
     schedules = [best_schedule_for(tube, CONFIG) for tube in (mild, rough)]
     assert schedules[0].at(40.0)[0] > 1.3 * schedules[1].at(40.0)[0]
@@ -123,7 +123,7 @@ def test_best_schedule_for_a_tube_is_the_least_cost_and_slower_where_friction_is
         assert (float(at_knot[0]), float(at_knot[1])) == pytest.approx((feed[least], air[least]))
 
 
-def test_friction_is_found_from_the_tension_in_any_bore_and_with_any_probe():
+def test_friction_is_found_from_the_tension():
     """A bore of 22.1 mm once gave 0.117 for a true 0.200. Floats are discrete and the closed form sums over them."""
     small = {"carrier_float_diameter": 0.016, "guide_float_diameter": 0.02}
     soft = {"tube": {"inner_diameter": 26e-3, "helix_length": 80.0}, "air": {"density": 1.2, "drag_coefficient": 0.5}}
@@ -145,7 +145,7 @@ def test_friction_is_found_from_the_tension_in_any_bore_and_with_any_probe():
     assert failures == []
 
 
-def test_wandering_holds_for_a_segment_and_differs_between_episodes():
+def test_wander_is_constant_within_a_segment():
     names, policy = list(CONFIG.observations), Wandering(CONFIG)
     rows = np.zeros((3, len(names)), dtype=np.float32)
     rows[:, names.index("rf_noise")] = [-2.0, -2.1, -2.0]
@@ -187,7 +187,7 @@ def settled(decades, tension_share=1.0, seconds=120, length=40.0):
     return feed[0], air[0], state[0][0, 1:]
 
 
-def test_the_adaptive_policy_finds_how_loud_its_probe_is_and_feeds_it_as_that_asks_for():
+def test_adaptive_policy_finds_the_noise_level_of_its_probe():
     """Shift and friction are found; with no shift it is where the best schedule of the tube is; the cable is taut."""
     louder, same, quieter = (settled(decades) for decades in (0.4, 0.0, -0.6))
     for (_, _, memory), decades in zip((louder, same, quieter), (0.4, 0.0, -0.6), strict=True):
@@ -206,7 +206,7 @@ def test_the_adaptive_policy_finds_how_loud_its_probe_is_and_feeds_it_as_that_as
     assert air > feed / air_speed(Scene(), 1.0)
 
 
-def test_an_agent_that_sees_the_probe_estimates_friction_with_its_floats():
+def test_agent_that_sees_the_probe_uses_its_floats():
     """Small floats have less drag, so less tension: taken for table 2's they look like much more friction."""
     probe = {"carrier_float_diameter": 0.0175, "guide_float_diameter": 0.0175}
     scene = Scene(probe=probe, contact={"friction": 0.15}, carrier_length=27.5)
@@ -230,7 +230,7 @@ def test_an_agent_that_sees_the_probe_estimates_friction_with_its_floats():
     assert estimate(MEASURED) > 1.2 * 0.15
 
 
-def test_the_limit_in_metres_costs_what_the_limit_in_signal_to_noise_does():
+def test_limits_in_metres_and_in_snr_cost_the_same():
     """At S/N 3 a metre costs the weight of vibration: in the units of the map 0.109 mm, electronics included."""
     assert rms_limit(SNR) == pytest.approx(1.09e-4, rel=5e-3)
     assert rms_limit(TaskConfig()) == 1e-4
@@ -242,7 +242,7 @@ def test_the_limit_in_metres_costs_what_the_limit_in_signal_to_noise_does():
     assert expected_cost(half, np.array([1e-6]), feed, air, still) == pytest.approx([0.75], rel=1e-4)
 
 
-def test_a_map_keeps_its_measure_and_one_of_millimetres_is_not_asked_for_noise(tmp_path):
+def test_map_keeps_its_vibration_measure(tmp_path):
     path = tmp_path / "mine-map.npz"
     for measure in ("snr", "displacement"):
         path.write_bytes(constant_map(-0.3, 0.01, measure).to_bytes())

@@ -63,7 +63,7 @@ def tensions(actions, friction):
     return sliding_tension(friction * one, seen, CONFIG.scene)
 
 
-def test_what_keeps_the_margin_stays_to_the_bit_and_the_rest_comes_to_it():
+def test_shield_changes_only_targets_below_the_margin():
     rng = np.random.default_rng(0)
     given, friction = rng.uniform(-1.0, 1.0, (500, 2)).astype(np.float32), rng.uniform(0.1, 0.5, 500)
     wanted, shielded = tensions(given, friction), acted(given, friction)
@@ -84,7 +84,7 @@ def test_the_margin_is_that_of_the_route():
     assert tensions(shielded, 0.15) == pytest.approx(1.5 * config.required_tension, rel=1e-4)
 
 
-def test_there_is_no_nearer_action_that_keeps_the_margin():
+def test_shield_takes_the_nearest_safe_action():
     """Of a grid of 201 x 201; blowing more alone is off the nearest point by (0.19 / 34)^2 / 2 = 2e-5 of the way."""
     axis = np.linspace(-1.0, 1.0, 201)
     grid = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1).reshape(-1, 2)
@@ -96,7 +96,7 @@ def test_there_is_no_nearer_action_that_keeps_the_margin():
         assert 0.0 < np.hypot(*(shielded - given)[0]) <= nearest * (1.0 + 3e-5) + 1e-6
 
 
-def test_feed_slows_without_more_air_and_the_air_comes_in_whole_steps_next_to_a_feed_that_stands():
+def test_shield_slows_the_feed_or_adds_air_in_whole_steps():
     assert acted([[1.0, 0.9]], np.array([0.5]), margin=40.0)[0].tolist() == [-1.0, 1.0]
     config = CONFIG.model_copy(update={"air_supply_step": 10.0 / 3600.0})
     given = np.array([[config.standstill, -1.0]], dtype=np.float32)
@@ -117,7 +117,7 @@ def outcomes(policy, tubes):
     return {tuple(record["unit"][:2]): (record["kpis"], record["profile"]) for record in ended}
 
 
-def test_hard_tubes_lose_their_drive_without_it_and_not_with_it():
+def test_shield_keeps_the_drive_in_hard_tubes():
     found = outcomes(Constant(CONFIG, **LITTLE), HARD)
     for k in range(len(HARD)):
         without, with_it = found["bare", k][0], found["shielded", k][0]
@@ -126,7 +126,7 @@ def test_hard_tubes_lose_their_drive_without_it_and_not_with_it():
 
 
 @pytest.mark.slow
-def test_the_best_schedule_is_the_same_behind_it():
+def test_shield_does_not_change_the_best_schedule():
     found = outcomes(make_policy("best-schedule", CONFIG), (*HARD, Context(friction=0.15)))
     for k in range(len(HARD) + 1):
         assert found["bare", k] == found["shielded", k]
@@ -153,7 +153,7 @@ INSTRUMENT = {"instrument": {"test_frequency": 100.0}}
 """Permits 100 Hz / 4 x 20 mm / 2 = 0.25 m/s."""
 
 
-def test_the_feed_is_held_to_the_permitted_speed_and_the_rest_stays_to_the_bit():
+def test_feed_is_limited_to_the_permitted_speed():
     config = CONFIG.model_copy(update=INSTRUMENT)
     actions = config.actions(np.array([0.4, 0.26, 0.25, 0.1]), np.full(4, 0.02)).astype(np.float32)
     limited = SpeedLimited(config, Given(actions)).predict(measured(np.full(4, 0.2)))[0]
@@ -166,7 +166,7 @@ def test_the_feed_is_held_to_the_permitted_speed_and_the_rest_stays_to_the_bit()
 
 
 @pytest.mark.parametrize(("inspects", "feeds"), [("in", [0.25, 0.4]), ("back", [0.4, 0.25]), ("best", [0.25, 0.25])])
-def test_only_passes_that_are_scored_are_held(inspects, feeds):
+def test_permitted_speed_applies_to_scored_passes_only(inspects, feeds):
     config = CONFIG.model_copy(update=INSTRUMENT | {"passes": "both", "inspects": inspects})
     rows = np.zeros((2, len(config.observations)), dtype=np.float32)
     rows[:, list(config.observations).index("way")] = 1.0, -1.0

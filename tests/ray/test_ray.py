@@ -72,7 +72,7 @@ def test_training_on_the_cluster_equals_the_local_one(cluster, tmp_path):
 
 
 @pytest.mark.filterwarnings("ignore:a worker was lost")
-def test_a_node_that_dies_in_the_middle_costs_time_alone(cluster):
+def test_dead_node_of_the_cluster_changes_no_result(cluster):
     def slowly(task):  # inside, so that it travels by value: workers do not have this file
         time.sleep(0.5)
         return 10 * task

@@ -12,7 +12,7 @@ import pytest
 from probe_agents.records.atomic import write_atomically
 
 
-def test_what_a_dead_process_left_of_the_same_file_is_removed(tmp_path):
+def test_temporary_file_of_a_dead_process_is_removed(tmp_path):
     ended = subprocess.Popen([sys.executable, "-c", ""])
     ended.wait()
     here, left = platform.node(), []
@@ -52,7 +52,7 @@ def test_a_folder_is_no_file(tmp_path):
 
 
 @pytest.mark.skipif(os.name == "nt", reason="files of POSIX")
-def test_what_is_no_regular_file_is_not_replaced(tmp_path, monkeypatch):
+def test_irregular_files_are_not_replaced(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)  # the path of a socket must be short
     controller, terminal = os.openpty()
     os.mkfifo("pipe")

@@ -242,7 +242,7 @@ def journal(tmp_path):
     return tmp_path / "study.jsonl"
 
 
-def test_a_study_is_continued_without_what_a_kill_left_unfinished(journal):
+def test_study_continues_after_a_kill(journal):
     open_study(journal, "known", ["minimize"], ["x"]).ask(SPACE)
     with journal.open("ab") as file:
         file.write(b'{"op_code":6,"worker_id"')  # of a line that was cut off

@@ -55,7 +55,7 @@ def test_options_end_where_the_user_says_so(tmp_path, monkeypatch, capsys):
         assert "limit = 99" in capsys.readouterr().err  # so the file was taken
 
 
-def test_names_like_numbers_and_markup_stay_what_they_are(tmp_path, capsys):
+def test_names_like_numbers_and_markup_are_kept(tmp_path, capsys):
     names = ["null", "1e5", "nan", "NA", "<b>x</b>", "[red]y", "$\\frac$", "_z", "v@²"]
     constants = {name: Constant(CONFIG, feed_speed=0.1 + 0.01 * k) for k, name in enumerate(names)}
     run_plan(make_plan(2, seeds=(0,), policies=constants), tmp_path, progress=False)

@@ -24,7 +24,7 @@ from probe_env.files import FileError, one_line, read_bytes, read_text
 ROOT = Path(__file__).parents[2]
 
 
-def test_cells_of_csv_tables_stay_what_they_are(tmp_path):
+def test_cells_of_csv_tables_keep_their_types(tmp_path):
     """Names and hashes are text, numbers are exact; other columns are what all of their cells allow."""
     path = tmp_path / "table.csv"
     path.write_text(
@@ -103,7 +103,7 @@ def test_texts_and_errors(tmp_path):
     assert str(FileError("a\nb", "c\nd")) == "a\\nb: c; d"
 
 
-def test_a_reader_takes_memory_for_the_file_not_for_the_most_that_it_accepts(tmp_path):
+def test_memory_of_a_reader_depends_on_the_file_size(tmp_path):
     path = tmp_path / "small"
     path.write_bytes(b"x" * 1000)
     tracemalloc.start()

@@ -42,7 +42,7 @@ def test_errors_have_the_range_of_the_metadata():
     assert count >= 120
 
 
-def test_ranges_are_found_by_path_in_choices_and_of_whole_numbers():
+def test_ranges_are_found_by_path():
     assert range_of(Scene, "contact.stiffness") == Range(1e2, 1e8, "N/m")
     assert range_of(Fidelity, "steady_feed") == Range(1e-3, 2.0, "m/s")
     assert range_of(TaskConfig, "delay_periods") == Range(0, 100, "")

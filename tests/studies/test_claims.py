@@ -61,7 +61,7 @@ def test_verdicts_follow_the_rows():
         assert holds["no noticeable radial peak in the return from 2 s on: original"] == none
 
 
-def test_withdrawals_differ_from_their_insertions_in_direction_alone():
+def test_withdrawals_differ_in_direction_only():
     for case in TRIPS:
         if case.withdrawn:
             fed, back = NAMED[insertion_of(case.name)].load_scene(), case.load_scene()

@@ -21,7 +21,7 @@ def separations_of(step, first, second, distance, count):
     return np.array(rows)
 
 
-def test_the_rate_of_the_cat_map_is_the_logarithm_of_its_eigenvalue():
+def test_growth_rate_of_the_cat_map():
     start = np.random.default_rng(0).uniform(size=(2, 8))
     matrix = np.array([[2.0, 1.0], [1.0, 1.0]])
     near = start + np.array([[TINY], [0.0]])

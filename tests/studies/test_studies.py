@@ -59,7 +59,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_every_row_has_columns_and_is_the_episode_of_an_evaluation(folder: Path) -> None:
+def test_rows_are_episodes_of_an_evaluation(folder: Path) -> None:
     table = pd.read_csv(folder / "out" / "episodes.csv")
     assert list(table.columns[:6]) == ["policy", "policy.level", "fidelity", "task.ramp", "context", "seed"]
     rows = table[["policy", "policy.level", "task.ramp", "context"]].fillna(0.0).itertuples(index=False, name=None)
@@ -212,7 +212,7 @@ def test_surrogate_runs_and_refuses_what_its_map_lacks(tmp_path: Path, capsys: p
     assert not (tmp_path / "none").exists()
 
 
-def test_sweeps_are_of_one_policy_each_and_training_seeds_are_one(tmp_path: Path) -> None:
+def test_sweep_has_one_policy_and_averages_training_seeds(tmp_path: Path) -> None:
     text = """
     question = "?"
     policies = [
@@ -240,7 +240,7 @@ def episodes_of(settings: list[Setting], reward: Callable[[dict[str, Any], int],
     return pd.DataFrame(rows)
 
 
-def test_the_share_of_an_upper_bound_and_ranks(tmp_path: Path) -> None:
+def test_fraction_of_an_upper_bound_and_ranks(tmp_path: Path) -> None:
     text = """
     question = "?"
     policies = ["planner", "best-schedule", "pi"]

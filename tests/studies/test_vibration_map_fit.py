@@ -42,7 +42,7 @@ def error(smeared: float) -> float:
     return fit_map(wandered(smeared), scene=Scene(), measure="snr")[1]["mean_absolute_error_decades"]
 
 
-def test_what_a_segment_hears_of_the_one_before_is_not_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_start_of_each_segment_is_not_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
     """Metres that hear another feed change nothing, not a digit; one metre more of them does."""
     monkeypatch.setattr(maker, "EPOCHS", 20)
     assert error(SMEARED["snr"]) == error(0.0)

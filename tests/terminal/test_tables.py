@@ -11,7 +11,7 @@ ROWS = [
 ]
 
 
-def test_a_table_fits_and_its_figures_stay_whole(monkeypatch, capsys):
+def test_table_fits_the_terminal(monkeypatch, capsys):
     for width in (60, 80, 100, 120, 200):
         monkeypatch.setenv("COLUMNS", str(width))
         print_table("Means [x]", HEADER, ROWS)

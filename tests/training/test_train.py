@@ -113,7 +113,7 @@ def _train(folder, resume):
 
 
 @pytest.mark.slow
-def test_stopped_before_any_file_is_in_its_place_and_killed_it_goes_on(tmp_path, monkeypatch):
+def test_training_continues_after_stops_and_kills(tmp_path, monkeypatch):
     """A run's files: run.json, then of each phase the agent, if it is the best so far, checkpoint and curve."""
     _train(tmp_path / "whole", False)
     assert killed_at("probe_agents.training.train.save_checkpoint", 2, _train, tmp_path / "killed", False)
@@ -261,7 +261,7 @@ def test_a_teacher_uses_the_map_of_the_plant(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.processor
-def test_smoke_training_beats_the_study_s_constant_and_no_training(tmp_path):
+def test_short_training_beats_constant_and_no_training(tmp_path):
     """The shipped recipe with a tiny budget and fixed seeds: warm start, then PPO.
 
     Against 0.2 m/s and its own first weights, which in this range feed at 0.2 m/s, too: what is better is learnt. (PPO
@@ -288,7 +288,7 @@ def test_smoke_training_beats_the_study_s_constant_and_no_training(tmp_path):
 
 
 @pytest.mark.slow
-def test_an_agent_of_both_passes_is_asked_on_both(tmp_path, validations, monkeypatch):
+def test_agent_of_both_passes_acts_in_both(tmp_path, validations, monkeypatch):
     """In a helix of 8 m, begun at 5 m: what it says on the way back is what is done there."""
     train_all(Training(**SHIFT), tmp_path, resume=False)
     assert {plan.fidelity for plan in validations} == {
@@ -321,7 +321,7 @@ def test_an_agent_of_both_passes_is_asked_on_both(tmp_path, validations, monkeyp
         make_policy(f"shielded:{path}", config)
 
 
-def test_an_agent_keeps_the_steps_of_the_feed_that_it_was_trained_with(tmp_path):
+def test_agent_keeps_the_feed_steps_of_its_training(tmp_path):
     """On a device without steps: every change of the feed shakes a probe that is drawn back."""
     task, path = TaskConfig(passes="both", feed_speed_step=0.05), tmp_path / "agent.safetensors"
     view = View(observations=tuple(task.observations))
@@ -344,7 +344,7 @@ def test_an_agent_keeps_the_steps_of_the_feed_that_it_was_trained_with(tmp_path)
     assert later.shape == (3, 2)
 
 
-def test_both_ways_need_a_method_that_goes_back():
+def test_both_passes_need_a_method_with_withdrawal():
     for part in ("environment", "validation"):
         settings = SHIFT | {part: SHIFT[part] | {"fidelity": Fidelity()}}
         with pytest.raises(ValueError, match="superelement32 does not simulate withdrawal; give one of"):
@@ -352,7 +352,7 @@ def test_both_ways_need_a_method_that_goes_back():
     assert isinstance(make_policy("ppo", TaskConfig(passes="both").full_observation), RoundTripPolicy)
 
 
-def test_a_teacher_s_actions_stand_beside_what_it_saw_and_returns_end_with_episodes() -> None:
+def test_imitation_data_and_returns() -> None:
     """Two environments that count their steps; the second one ends with the second of three steps."""
     clock, ends = [0], np.array([[False, False], [False, True], [False, False]])
 
@@ -376,7 +376,7 @@ def test_a_teacher_s_actions_stand_beside_what_it_saw_and_returns_end_with_episo
     assert returns.reshape(3, 2).T.tolist() == [first, second]
 
 
-def test_the_agent_of_the_best_validation_is_kept(tmp_path, monkeypatch) -> None:
+def test_agent_of_the_best_validation_is_stored(tmp_path, monkeypatch) -> None:
     rewards, kept = iter([-3.0, 1.0, 0.5, 1.0, 2.0]), []
     columns = {name: [0.0] for name in VALIDATED}
     monkeypatch.setattr(

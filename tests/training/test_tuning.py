@@ -118,7 +118,7 @@ def test_trainings_below_the_median_of_those_before_end_early(whole):
     assert pruned >= 2  # of this seed
 
 
-def test_broken_off_again_and_again_equals_never_broken_off(tmp_path, whole, monkeypatch):
+def test_often_interrupted_tuning_equals_an_uninterrupted_one(tmp_path, whole, monkeypatch):
     """In the first trial and the last, in those that are drawn and those that TPE asks for, in either phase."""
     breaks = {(0, 1), (1, 2), (1, 1), (10, 1), (TRIALS - 1, 1)}
 
@@ -161,7 +161,7 @@ def test_killed_in_a_training_it_goes_on_from_its_checkpoint(tmp_path):
     assert not list(folder.glob(f"trials/*/seed-*/{CHECKPOINT}"))  # trials that ended need none
 
 
-def test_a_training_that_breaks_down_is_told_and_the_search_goes_on(tmp_path, monkeypatch, capsys):
+def test_failed_training_is_reported_and_search_continues(tmp_path, monkeypatch, capsys):
     def breaking(training, folder, origin, seed, position, watch):
         if training.learning.learning_rate > 1e-4:
             raise ValueError("weights that are not finite")
@@ -188,7 +188,7 @@ def test_a_training_that_breaks_down_is_told_and_the_search_goes_on(tmp_path, mo
         search(tuning_of(tmp_path), 7, tmp_path)
 
 
-def test_the_command_goes_on_and_leaves_a_training_file_with_the_best_parameters(tmp_path, whole, stubbed, capsys):
+def test_tune_resumes_and_writes_the_best_training_file(tmp_path, whole, stubbed, capsys):
     path, output = written(tmp_path), tmp_path / "out"
     arguments = ["tune", str(path), "--phases", "2", "--output", str(output), "--trials"]
     assert main([*arguments, "4"]) == 0

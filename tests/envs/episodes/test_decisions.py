@@ -45,7 +45,7 @@ def test_an_action_is_five_periods_of_a_changed_target(fidelity):
         assert info["time"] == infos[-1]["time"]
 
 
-def test_targets_end_at_their_ranges_and_actions_outside_are_refused():
+def test_targets_are_clipped_and_actions_outside_refused():
     env = gym.make("probe_env/IncrementalInsertion-v1", fidelity="surrogate")
     env.reset(seed=3, options=TUBE)
     for _ in range(9):
@@ -96,7 +96,7 @@ def test_batches_equal_single_environments():
             assert np.allclose(many[1], [each[1] for each in one], rtol=1e-6)
 
 
-def test_a_trained_agent_acts_in_evaluations_as_in_its_environment(tmp_path):
+def test_agent_acts_in_evaluations_as_in_its_environment(tmp_path):
     """Bit for bit: the evaluation has a target for each control period, the environment an action for five."""
     train = ProbeVecEnv("probe_env/IncrementalInsertion-v1", 2, fidelity="surrogate")
     model = PPO("MlpPolicy", train, n_steps=16, batch_size=16, n_epochs=1, device="cpu", seed=0).learn(32)

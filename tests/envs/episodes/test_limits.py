@@ -61,7 +61,7 @@ PULLED = [
 
 @pytest.mark.parametrize(("context", "how"), PULLED)
 @pytest.mark.parametrize("method", ["superelement32", "superelement"])
-def test_a_step_that_is_unstable_under_drag_is_refused_with_a_stable_one(context, how, method):
+def test_unstable_step_is_refused_with_a_stable_one(context, how, method):
     env_id = IDS[how == REST]
     fidelity = {"method": method, "time_step": 2e-4}
     with pytest.raises(ValueError, match=rf"drag pulls the probe with \S+ N {how}: \w+ needs a") as error:
@@ -92,7 +92,7 @@ def test_a_refused_reset_changes_nothing():
     assert (np.array(runs[0]) == np.array(runs[1])).all()
 
 
-def test_no_shipped_or_drawn_tube_and_no_design_is_refused():
+def test_shipped_tubes_and_designs_are_accepted():
     """With a margin of two in the rotation."""
     rng = np.random.default_rng(0)
     tubes = [context for split in ("train", "validation", "test") for context in load_contexts(split)]
@@ -112,7 +112,7 @@ def test_no_shipped_or_drawn_tube_and_no_design_is_refused():
 
 @pytest.mark.parametrize("stiffness", [1e5, 1e6, 1e7, 1e8])
 @pytest.mark.parametrize("preset", FIDELITIES.values(), ids=FIDELITIES)
-def test_the_fidelity_in_the_error_message_is_accepted_and_stable(stiffness, preset):
+def test_fidelity_in_the_error_message_is_stable(stiffness, preset):
     fidelity, scene = preset, Scene(carrier_length=5.0, contact={"stiffness": stiffness})
     limit = FULL / math.sqrt(stiffness / (0.111 * 0.025))
     if fidelity.method in ON_NODES:
@@ -166,7 +166,7 @@ def test_steady_sliding_equals_numerical_integration():
     assert nearly.slide == pytest.approx(none.slide, rel=1e-5)  # both forms meet
 
 
-def test_the_softest_wall_buckles_where_the_cable_between_floats_does():
+def test_softest_wall_buckles_with_the_cable():
     probe = Probe()
     foundation = softest_wall(probe) / probe.float_pitch
     euler = math.pi**2 * probe.flexural_rigidity / probe.float_pitch**2
@@ -197,7 +197,7 @@ def test_an_accepted_step_is_known_to_be_stable(fidelity, stiffness):
 
 
 @pytest.mark.parametrize(("env_id", "periods"), [(IDS[0], 4), (IDS[1], 12)])
-def test_extreme_contexts_are_refused_or_stay_finite_and_in_the_space(env_id, periods):
+def test_extreme_contexts_are_refused_or_finite(env_id, periods):
     """An unstable step diverges within 0.2 s; other divergence is of a probe under compression and is reported."""
     rng, count = np.random.default_rng(5), 8
     env = gym.make_vec(env_id, count, vectorization_mode="vector_entry_point", config={"privileged": True})

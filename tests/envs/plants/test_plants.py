@@ -163,7 +163,7 @@ def test_errors_are_one_line_with_file_and_field(tmp_path):
         assert "\n" not in str(error.value)
 
 
-def test_the_withdrawal_of_a_bundle_is_a_time():
+def test_withdrawal_of_a_bundle_takes_a_given_time():
     """60 m of helix and 12 m of route at 0.5 m/s; nothing where the withdrawal is simulated."""
     tables = {"bundle": {"tubes": 9, "setup_time": 60.0, "withdrawal_speed": 0.5}}
     plant = Plant.model_validate(tables | {"route": [{"length": 12.0, "slope": 90.0}, {"helix": True}]})
@@ -174,7 +174,7 @@ def test_the_withdrawal_of_a_bundle_is_a_time():
     assert Plant().bundle_for(plant.config) is None
 
 
-def test_the_required_tension_follows_from_the_route_unless_it_is_set():
+def test_required_tension_follows_from_the_route():
     """In the largest helix at the median friction; friction, not drag, decides what the worst tube needs."""
     tables = {
         "tube": {"helix_diameter": [1.0, 1.6]},
@@ -200,7 +200,7 @@ def test_the_required_tension_follows_from_the_route_unless_it_is_set():
         weak.check_route(hard)
 
 
-def test_tubes_are_spread_over_their_distributions_and_prefixes_stay(file):
+def test_tubes_cover_their_distributions(file):
     """300 tubes; Kolmogorov's test at 1e-4, which a low-discrepancy sequence passes by far."""
     plant = Plant.from_toml(file)
     tubes = plant.contexts(300)
@@ -268,7 +268,7 @@ def test_custom_contexts_are_used_with_a_tube(file):
     assert env.unwrapped.config.scene.tube.inner_diameter == 22.1e-3
 
 
-def test_shipped_contexts_and_task_fields_are_refused_as_arguments_with_a_tube():
+def test_arguments_that_contradict_a_tube_are_refused():
     for make in (lambda **form: gym.make("probe_env/Insertion-v1", **form), ProbeVecEnv):
         with pytest.raises(ValueError, match="contexts = 'test' are table 2's tubes: with a tube leave contexts out"):
             make(tube={"tube": {"inner_diameter": 0.023}}, contexts="test")

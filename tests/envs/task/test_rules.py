@@ -99,7 +99,7 @@ def test_a_cost_term_is_one_beyond_its_limit():
     assert costs["buckling"].tolist() == [0.0, 0.0, 0.0, 0.0, 0.0, 1.0]
 
 
-def test_lost_drive_ends_an_episode_and_kpis_are_the_sums_of_its_periods():
+def test_lost_drive_ends_an_episode():
     """Fast feed with the least air loses the drive: periods below 3 N count from 6 m on, three end the episode."""
     config = TaskConfig(required_tension=3.0, lost_drive_from=6.0, tension_limit=1.0)
     infos = play(config, *FULL)
@@ -127,7 +127,7 @@ def test_the_tension_limit_does_not_change_the_reward():
     assert rewards[0] == rewards[1]
 
 
-def test_compression_beyond_the_buckling_load_costs_on_withdrawal():
+def test_buckling_has_a_cost_on_withdrawal():
     """With a buckling load of 0.5 N and 8 m of cable withdrawn against the air."""
     probe = {"flexural_rigidity": 5e-4, "guide_length": 0.5}
     scene = Scene.fitted({"tube": {"helix_length": 8.0}, "probe": probe, "contact": {"friction": 0.1}})
@@ -141,7 +141,7 @@ def test_compression_beyond_the_buckling_load_costs_on_withdrawal():
     assert infos[-1]["episode_kpis"]["cost_lost_drive"] == 0.0  # withdrawal needs no drive
 
 
-def test_the_buckling_load_is_that_of_a_bar_on_many_hinged_supports():
+def test_buckling_load_of_a_bar_on_hinged_supports():
     """Least eigenvalue of six spans with eight cubic elements each, which is 2e-5 above."""
     probe, spans, pieces = Scene().probe, 6, 8
     h, nodes = probe.float_pitch / pieces, spans * pieces + 1
@@ -181,7 +181,7 @@ def test_slack_periods_are_counted_consecutively():
     assert np.array(counts).T.tolist() == [[1, 2, 0, 1, 2, 3, 4], [0, 1, 2, 3, 0, 0, 1]]
 
 
-def test_shares_and_values_are_each_other_s_inverse():
+def test_fractions_and_values_are_inverse():
     values = np.linspace(*CONFIG.feed_speeds, 7)
     shares = share_between(values, CONFIG.feed_speeds)
     assert value_at(shares, CONFIG.feed_speeds) == pytest.approx(values, rel=1e-15)

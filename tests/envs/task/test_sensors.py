@@ -116,7 +116,7 @@ def test_friction_drifts_along_the_tube(fidelity):
     assert tensions[0] > tensions[1] > tensions[2]
 
 
-def test_an_oval_tube_has_less_clearance_in_the_plane_of_the_helix():
+def test_oval_tube_has_less_clearance_in_plane():
     oval = probe_env.Scene.fitted({"tube": {"ovality": 0.1}})
     gaps = [probe_env.Simulator(scene).chain.outer_gap[0] for scene in (probe_env.Scene(), oval)]
     assert gaps[0] - gaps[1] == pytest.approx(0.05 * 24.2e-3)

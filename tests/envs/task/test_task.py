@@ -125,7 +125,7 @@ def diverge(monkeypatch):
     monkeypatch.setattr(SimulatorBatch, "advance", broken)
 
 
-def test_a_diverged_simulation_ends_with_the_last_finite_observation(monkeypatch):
+def test_divergence_returns_the_last_finite_observation(monkeypatch):
     env = gym.make("probe_env/Snapshot-v1").unwrapped
     before, _ = env.reset(seed=0)
     diverge(monkeypatch)
@@ -139,7 +139,7 @@ def test_a_diverged_simulation_ends_with_the_last_finite_observation(monkeypatch
     assert info["reward_terms"]["diverged"] == -10.0
 
 
-def test_divergence_while_settling_ends_the_episode_in_its_first_step(monkeypatch):
+def test_divergence_while_settling_ends_the_first_step(monkeypatch):
     """Without an error, which would stop the training of all environments of a batch."""
     episodes = Episodes(2, TaskConfig())
     diverge(monkeypatch)

@@ -149,7 +149,7 @@ def test_air_of_a_period_is_the_mean_of_both_ends():
 
 
 @pytest.mark.parametrize("design", [Design(), IMPROVED])
-def test_sections_are_stable_with_the_most_air(design):
+def test_sections_are_stable_with_max_air(design):
     """At 2e-4 s and 130 m3/h, 24 of 256 probes diverged from a start with the full supply, none from the gentle start.
 
     Measured once at 20 to 55 m in similar tubes. The full supply at rest is refused, the gentle start is not.
@@ -179,7 +179,7 @@ def trials():
 
 
 @pytest.mark.processor
-def test_the_first_metres_have_the_sensor_s_signal_to_noise_at_rest(trials):
+def test_snr_of_the_first_metres_is_that_at_rest(trials):
     """7.5 for a 20 % groove at 0.2 m/s in a smooth tube; below 3 where the probe vibrates."""
     noisy, _ = trials
     quiet, loud = 1.0 / SNR.sensor.quiet_snr, 1.0 / SNR.sensor.shaken_snr

@@ -96,7 +96,7 @@ def test_point_mass_on_the_contact_spring(wall):
         assert abs(abs(state.v[0, 1]) / v0 - 1.0) <= (omega * dt) ** 2
 
 
-def test_coulomb_oscillator_loses_a_fixed_amplitude_each_half_cycle():
+def test_coulomb_oscillator_loses_a_fixed_amplitude():
     """The amplitude falls by 2 mu N / k; the sign of friction lags one step, so by omega dt of that."""
     k_x, normal, mu, start = 400.0, 2.0, 0.15, 8e-3
     support = np.zeros((2, 3))

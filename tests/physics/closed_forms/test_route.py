@@ -49,7 +49,7 @@ def test_a_bend_divides_or_multiplies_as_a_capstan_does(direction):
 
 
 @pytest.mark.parametrize("slope", [90.0, 30.0])
-def test_what_a_straight_part_needs_is_its_balance_at_the_least_air(slope):
+def test_min_air_balances_a_straight_part(slope):
     route = (Segment(length=12.0, slope=slope), HELIX)
     least = SCENE.model_copy(update={"air_supply_rate": float(least_air(route, SCENE)[-1])})
     needed = tension_for_straight(least, 12.0, math.radians(slope))
@@ -108,7 +108,7 @@ def test_a_whole_route_is_integrated_right(direction, air):
         assert forces.in_helix[k] == (ends[2] < tip < ends[3] + 1e-9)
 
 
-def test_air_that_expands_must_be_120_m3_per_h_where_a_uniform_stream_needs_68():
+def test_expanding_air_needs_more_than_uniform_air():
     """30 m of rising tube before the helix: the cable's weight against the air. At the tip of both, the same.
 
     In the rising part the balance is 2 q A p / (2 q) (sqrt(1 + 2 q x / A p) - 1) = w x.
@@ -131,7 +131,7 @@ def test_air_that_expands_must_be_120_m3_per_h_where_a_uniform_stream_needs_68()
     assert 3600.0 * spread[-1] == pytest.approx(120.0, abs=1.0)
 
 
-def test_the_least_air_leaves_no_force_and_less_is_not_enough():
+def test_min_air_leaves_no_force_and_less_is_not_enough():
     route = (Segment(length=3.0), Segment(length=0.8, slope=45.0, bend_radius=0.5), RISING, HELIX)
     rough = SCENE.model_copy(update={"contact": {"friction": 0.4}, "tube": {"helix_diameter": 1.0}})
     for scene in (SCENE, rough):

@@ -157,7 +157,7 @@ def test_other_solvers_and_batches_give_equal_results():
         assert (alone.state.d == simulator.state.d).all()
 
 
-def test_environments_refuse_compressible_air_without_a_method_for_it():
+def test_compressible_air_needs_a_method_for_it():
     config = TaskConfig(scene=Scene(carrier_length=0.5, air=EXPANDING))
     check_fidelity(Fidelity(), config)
     with pytest.raises(ValueError, match=r"^air\.compressible = true: imex does not simulate it; use newmark, "):

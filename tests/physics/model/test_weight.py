@@ -95,7 +95,7 @@ def test_sliding_back_off_the_walls():
     assert mean_tension(scene, "newmark") == pytest.approx((q + 0.15 * 0.111 * 9.80665) * 3.0, rel=1e-4)
 
 
-def test_the_start_converges_with_the_time_step_to_that_of_another_method():
+def test_start_with_weight_converges_with_the_time_step():
     """Axial motion of the tip in the first 0.1 s."""
 
     def start(method, time_step):
@@ -131,7 +131,7 @@ def test_batches_equal_single_probes(method):
             assert (getattr(alone.state, field) == getattr(grouped.state, field)).all()
 
 
-def test_what_does_not_simulate_weight_refuses_it():
+def test_methods_without_weight_refuse_it():
     scene = scene_of(True)
     for method in set(METHODS) - set(WEIGHING):
         with pytest.raises(ValueError, match=f"^contact.weight = true: {method} does not simulate it; use newmark, "):

@@ -87,7 +87,7 @@ def test_an_inactive_probe_does_not_change_and_the_others_do(single):
     assert (late.radial[:, 0] == 0.0).all()
 
 
-def test_statistics_of_consecutive_windows_join_their_differences():
+def test_statistics_of_consecutive_windows_join():
     """Acceleration across the seam is that of the joined signal."""
     batch = SimulatorBatch(SCENES[:1], **OPTIONS)
     parts = [batch.advance(0.3, 0.02, 0.1, keep_samples=True) for _ in range(3)]

@@ -45,7 +45,7 @@ def test_the_length_stops_at_the_end_of_the_helix():
 
 @pytest.mark.parametrize("method", ["newmark", "imex", "imex32"])
 @pytest.mark.parametrize("slope", [0.5, -0.5])
-def test_the_frame_s_inertia_moves_a_free_probe_like_a_rigid_body(method, slope):
+def test_inertia_of_the_frame_moves_a_free_probe(method, slope):
     """In a straight tube nothing but a soft root spring holds the nodes: x = -slope t^2 / 2, exactly for Newmark.
 
     The cable is soft (EA 1e2 N) and the time short, so that the wave from the root has not come to the tip.

@@ -88,7 +88,7 @@ def test_seed_and_perturbation_may_differ():
 
 
 @pytest.mark.parametrize("method", ["newmark", "implicit", "imex"])
-def test_fixed_attributes_do_not_change_and_others_are_in_a_snapshot(method):
+def test_snapshot_has_every_attribute_that_changes(method):
     """A new attribute that changes is saved unless it is declared as fixed, and then this finds it."""
     simulator = Simulator(SCENE, method, growing=True, ramp=0.5, air_lag=0.1)
     assert set(vars(simulator)) >= Simulator.FIXED

@@ -76,7 +76,7 @@ def test_the_frame_s_inertia_is_in_the_mass():
 
 
 @pytest.mark.parametrize(("modes", "reach"), [(2, 319.0), (3, 634.0), (4, 1223.0)])
-def test_what_is_below_the_last_mode_but_one_is_within_a_hundredth(modes, reach):
+def test_modes_below_the_last_are_within_one_percent(modes, reach):
     """The usual rule: frequencies up to that of the last mode that is kept are good; here up to the one before it."""
     chain, count = piece(16)._replace(frame_inertia=0.0), 10
     pitch = condensed(chain, modes)

@@ -216,7 +216,7 @@ def test_a_growing_probe_follows_the_mesh():
     assert_allclose(ended["own"], ended["mesh"], rtol=0.02)
 
 
-def test_single_precision_holds_a_long_free_probe_where_double_does():
+def test_single_precision_keeps_a_long_free_probe():
     """Along the tube nothing but the root holds it: no rounding may be a spring to the frame (see imex32's factors).
 
     60 m without friction, pulled for a tenth of a second; 1e-4 of the displacement is 250 roundings of it.
