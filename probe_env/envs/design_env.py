@@ -10,7 +10,7 @@ import numpy as np
 
 from probe_env.design import RANGES, Design
 from probe_env.envs.contexts import Context
-from probe_env.envs.env import Observation, Specified
+from probe_env.envs.env import Observation, StepLimitSpec
 from probe_env.envs.episodes.starts import (
     DEFAULTS,
     EpisodeSampler,
@@ -41,7 +41,7 @@ from probe_env.settings import check_keywords, one_line_errors
 STUDY_FEED = Schedule("inserted_length", "linear", (5.0,), (0.2,), (63.0 / 3600.0,))
 
 
-class DesignEnv(Specified, gym.Env[Observation, Observation]):
+class DesignEnv(StepLimitSpec, gym.Env[Observation, Observation]):
     """Design a probe and score it in one tube: one step per episode.
 
     ## Description

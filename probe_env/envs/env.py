@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, SupportsFloat, Unpack, cast
+from typing import TYPE_CHECKING, Any, ClassVar, SupportsFloat, Unpack
 
 import gymnasium as gym
 import numpy as np
@@ -19,34 +19,20 @@ from gymnasium.vector.utils import batch_space
 from probe_env.arrays import FloatArray
 from probe_env.envs.contexts import Context
 from probe_env.envs.episodes import Episodes
-from probe_env.envs.episodes.decisions import decide
+from probe_env.envs.episodes.actions import step_action
 from probe_env.envs.episodes.limits import check_fidelity, check_start
-from probe_env.envs.episodes.starts import DEFAULTS, EpisodeSampler, EpisodeSettings, resolve_settings
-from probe_env.envs.surrogate import SurrogateEpisodes, check_task, check_tube
-from probe_env.envs.task import TaskConfig, as_actions
+from probe_env.envs.episodes.predicted import check_task, check_tube
+from probe_env.envs.episodes.starts import EpisodeSampler, EpisodeSettings
+from probe_env.envs.task import TaskConfig
 from probe_env.envs.vibration_map import VibrationMap, stored_map
-from probe_env.fidelity import Fidelity, is_surrogate
-from probe_env.settings import Model, check_keywords, one_line_errors
+from probe_env.fidelity import Fidelity
+from probe_env.settings import Model, one_line_errors
 
 if TYPE_CHECKING:
     from probe_env.envs.pictures.episode import Renderer
 
 Observation = npt.NDArray[np.float32]
 RENDER_MODES = ("rgb_array", "human")
-
-
-def make_episodes(
-    count: int,
-    config: TaskConfig,
-    *,
-    threads: int | None = None,
-    allow_standstill: bool = False,
-    **settings: Unpack[EpisodeSettings],
-) -> Episodes:
-    """Episodes of any fidelity: ``Episodes``, or ``SurrogateEpisodes``, which have the same methods."""
-    if is_surrogate(settings.get("fidelity", DEFAULTS["fidelity"])):
-        return cast(Episodes, SurrogateEpisodes(count, config, allow_standstill=allow_standstill, **settings))
-    return Episodes(count, config, threads=threads, allow_standstill=allow_standstill, **settings)
 
 
 def check_tubes(
@@ -86,15 +72,15 @@ def check_episode_steps(steps: int | None) -> None:
         raise ValueError(f"max_episode_steps = {steps!r} is outside the accepted range 1 and more")
 
 
-def plain(value: Any) -> Any:
+def to_json(value: Any) -> Any:
     """An argument of ``make`` as JSON can store it: settings as mappings, paths and modes as text, recursively."""
     match value:
         case Model():
             return value.model_dump(mode="json")
         case Mapping():
-            return {name: plain(entry) for name, entry in value.items()}
+            return {name: to_json(entry) for name, entry in value.items()}
         case list() | tuple():
-            return [plain(entry) for entry in value]
+            return [to_json(entry) for entry in value]
         case Path():
             return str(value)
         case Enum():
@@ -103,7 +89,7 @@ def plain(value: Any) -> Any:
             return value
 
 
-class Specified:
+class StepLimitSpec:
     """An environment whose ``spec`` says how many steps an episode has at most, and can be stored as JSON.
 
     The number is not registered, because it depends on the arguments: Gymnasium would truncate at the registered one.
@@ -119,10 +105,10 @@ class Specified:
 
     @spec.setter
     def spec(self, spec: EnvSpec | None) -> None:
-        self._spec = spec and replace(spec, max_episode_steps=self.most_steps, kwargs=plain(spec.kwargs))
+        self._spec = spec and replace(spec, max_episode_steps=self.most_steps, kwargs=to_json(spec.kwargs))
 
 
-class ProbeEnv(Specified, gym.Env[Observation, Observation]):
+class ProbeEnv(StepLimitSpec, gym.Env[Observation, Observation]):
     """Base class of the environments with one probe; see ``InsertionEnv`` for the arguments."""
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": list(RENDER_MODES), "render_fps": 10}  # type: ignore[misc]
@@ -138,12 +124,13 @@ class ProbeEnv(Specified, gym.Env[Observation, Observation]):
     ) -> None:
         if render_mode is not None and render_mode not in RENDER_MODES:
             raise ValueError(f"render_mode = {render_mode!r} is not one of {', '.join(RENDER_MODES)}")
-        if render_mode is not None and is_surrogate(settings.get("fidelity", DEFAULTS["fidelity"])):
-            raise ValueError(f"render_mode = {render_mode!r}: fidelity 'surrogate' simulates no motion to render")
-        self.config, settings = resolve_settings(self.defaults, config, settings)
-        check_keywords("gym.make", settings, ("config", *DEFAULTS))
+        self.episodes = Episodes(1, config, defaults=self.defaults, threads=1, caller="gym.make", **settings)
+        self.config = self.episodes.config
         self.most_steps = self.config.most_actions
-        self.episodes = make_episodes(1, self.config, threads=1, **settings)
+        if not self.episodes.backend.samples:
+            if render_mode is not None:
+                raise ValueError(f"render_mode = {render_mode!r}: fidelity 'surrogate' simulates no motion to render")
+            self.metadata = self.metadata | {"render_modes": []}  # type: ignore[misc]
         self.observation_space, self.action_space = spaces_of(self.config)  # type: ignore[assignment]
         self.render_mode = render_mode
         self._renderer: Renderer | None = None
@@ -169,7 +156,7 @@ class ProbeEnv(Specified, gym.Env[Observation, Observation]):
 
     def step(self, action: Observation) -> tuple[Observation, SupportsFloat, bool, bool, dict[str, Any]]:
         """Apply an action: one control period towards a target feed speed and air supply, or as the task says."""
-        step = decide(self.episodes, as_actions(action, (2,))[None])
+        step = step_action(self.episodes, action, (2,))
         reward = float(step.reward[0])
         if self._renderer is not None:
             self._renderer.add(step.infos[0], reward)
@@ -355,7 +342,7 @@ class InspectionEnv(ProbeEnv):
     defaults: ClassVar[dict[str, Any]] = {"passes": "both", "time_limit": 1800.0}
 
 
-class ProbeVectorEnv(Specified, gym.vector.VectorEnv[Observation, Observation, Any]):
+class ProbeVectorEnv(StepLimitSpec, gym.vector.VectorEnv[Observation, Observation, Any]):
     """N environments in one batch; each equals a single environment with the seed ``seed + i`` bit for bit.
 
     Args:
@@ -389,9 +376,10 @@ class ProbeVectorEnv(Specified, gym.vector.VectorEnv[Observation, Observation, A
         check_episode_steps(max_episode_steps)
         if render_mode is not None:
             raise ValueError(f"render_mode = {render_mode!r}: a batch is not rendered; use gym.make")
-        self.config, settings = resolve_settings(self.single.defaults, config, settings)
-        check_keywords("gym.make_vec", settings, ("config", *DEFAULTS))
-        self.episodes = make_episodes(num_envs, self.config, threads=threads, **settings)
+        self.episodes = Episodes(
+            num_envs, config, defaults=self.single.defaults, threads=threads, caller="gym.make_vec", **settings
+        )
+        self.config = self.episodes.config
         self.num_envs = num_envs
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = self.single.metadata | {"autoreset_mode": self.autoreset_mode}
@@ -485,7 +473,7 @@ class ProbeVectorEnv(Specified, gym.vector.VectorEnv[Observation, Observation, A
         terminated, truncated = np.zeros_like(starting), np.zeros_like(starting)
         observation = self.episodes.observation.copy()
         if not starting.all():
-            step = decide(self.episodes, actions, ~starting)
+            step = step_action(self.episodes, actions, (self.num_envs, 2), ~starting)
             observation, reward, terminated, truncated = step.observation, step.reward, step.terminated, step.truncated
             infos = step.infos
             self._steps += ~starting

@@ -43,7 +43,7 @@ class Controller(Protocol):
 class PlanningPolicy(Protocol):
     """Model-predictive control on copies of the simulator; an upper bound for feedback."""
 
-    def decide(
+    def plan_actions(
         self, episodes: Episodes, which: Sequence[int], observation: npt.NDArray[np.float32], states: Sequence[Any]
     ) -> tuple[npt.NDArray[np.float32], list[Any]]:
         """Actions (n, 2) and states of the n episodes ``which`` from their observations (n, d) and states.
@@ -87,7 +87,7 @@ class PolicyBatch:
             assert isinstance(controller, PlanningPolicy)
             assert episodes is not None
             before = [self.states[k] for k in which]
-            actions[which], after = controller.decide(episodes, which, observation[which], before)
+            actions[which], after = controller.plan_actions(episodes, which, observation[which], before)
             for k, state in zip(which, after, strict=True):
                 self.states[k] = state
         return actions
@@ -106,10 +106,9 @@ def rollout(
     players = PolicyBatch(len(policies))
     for k, policy in enumerate(policies):
         players.begin(k, policy)
-    simulated = episodes if isinstance(episodes, Episodes) else None
     while episodes.running.any():
         active = episodes.running.copy()
-        step = episodes.step(players.act(observation, active, simulated), active)
+        step = episodes.step(players.act(observation, active, episodes), active)
         observation = step.observation
         yield step, active
 
@@ -237,7 +236,10 @@ def score_designs(
     inspected = trial.inspected
     if inspected is None:
         inspected = np.maximum(config.scene.tube.helix_length - guides - SENSOR_START - missed, 0.0)
-    terms = reward_terms(config, inspected, squares, time, air, missed, trial.failed["diverged"])
+    terms = reward_terms(
+        config, inspected=inspected, squares=squares, seconds=time, air=air, uninspected=missed,
+        diverged=trial.failed["diverged"],
+    )  # fmt: skip
     length = np.maximum(covered, 1e-9)
     margin = np.where(trial.deep, trial.root_tension, np.inf).min(axis=1) - config.required_tension
     kpis = {
@@ -379,6 +381,7 @@ def try_insertions(
         policies.append(candidate.feed)
     count, segment = len(candidates), segment_of(config)
     episodes = Episodes(count, config, threads=threads, allow_standstill=True, fidelity=fidelity)
+    episodes.simulated()  # raises for the surrogate
     designs = [candidate.design.built for candidate in candidates]
     options = {k: {"context": c.context, "probe": designs[k].model_dump()} for k, c in enumerate(candidates)}
     rngs = {k: np.random.default_rng(seed) for k, seed in enumerate(start_seeds(candidates))}
@@ -390,8 +393,8 @@ def try_insertions(
     guides = np.array([design.guide_length for design in designs])
     inspected, air = np.zeros(count), np.zeros(count)
     for step, active in rollout(episodes, policies, observation):
-        before, inspected = inspected, np.array([metrics.inspected for metrics in episodes.scorer.metrics])
-        air_before, air = air, np.array([metrics.air for metrics in episodes.scorer.metrics])
+        before, inspected = inspected, episodes.scorer.totals["inspected"].copy()
+        air_before, air = air, episodes.scorer.totals["air"].copy()
         for k in np.flatnonzero(active).tolist():
             info = step.infos[k]
             for name, flags in failed.items():
@@ -416,8 +419,8 @@ def try_insertions(
     # length that the guide excludes is not charged to detection
     tube = config.scene.tube.helix_length
     reach = (tube - guides - SENSOR_START).tolist()
-    pairs = zip(episodes.scorer.metrics, reach, strict=True)
-    found = [metrics.detection.kpis(max(metrics.inspected, length), tube) for metrics, length in pairs]
+    rows = zip(episodes.scorer.signals, inspected.tolist(), reach, strict=True)
+    found = [signals.detection.kpis(max(length, reached), tube) for signals, length, reached in rows]
     return Trial(
         widths=widths,
         feed_speed=np.where(visited, travel / seconds, 0.0),

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import io
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -63,7 +64,13 @@ class VibrationMap:
         return hash(self.digest) if self.digest else id(self)
 
     def predict(
-        self, length: FloatArray, feed: FloatArray, air: FloatArray, context: FloatArray, scene: Scene
+        self,
+        length: FloatArray,
+        feed: FloatArray,
+        air: FloatArray,
+        context: FloatArray,
+        scene: Scene,
+        product: Callable[[FloatArray, FloatArray], FloatArray] = np.matmul,
     ) -> tuple[FloatArray, FloatArray]:
         """Mean and standard deviation (n,) of log10(radial rms / 0.1 mm) of a metre.
 
@@ -73,19 +80,22 @@ class VibrationMap:
             air: (n,) air supply [m3/s].
             context: (n, 4) in the order of ``CONTEXT``, SI units.
             scene: scene of the prediction; for another bore or air the air supply of equal drag is used.
+            product: matrix product; the default rounds a row differently in batches of other sizes.
         """
         inputs = features_of(length, feed, equivalent_air(air, feed, scene, self.scene), context)
         if self.scaling is not None:
             inputs = (inputs - self.scaling[0]) / self.scaling[1]
-        return self.distribution(inputs)
+        return self.distribution(inputs, product)
 
-    def distribution(self, features: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def distribution(
+        self, features: FloatArray, product: Callable[[FloatArray, FloatArray], FloatArray] = np.matmul
+    ) -> tuple[FloatArray, FloatArray]:
         """Mean and standard deviation (n,) of log10(radial rms / 0.1 mm) at ``features`` (n, 7)."""
         values = features
         for weights, biases in self.layers[:-1]:
-            values = np.tanh(values @ weights + biases)
+            values = np.tanh(product(values, weights) + biases)
         weights, biases = self.layers[-1]
-        values = values @ weights + biases
+        values = product(values, weights) + biases
         return values[:, 0], np.exp(np.clip(values[:, 1], -5.0, 1.0))
 
     @classmethod

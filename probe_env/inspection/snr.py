@@ -195,7 +195,7 @@ class SnrEstimator:
         self._bias = np.ones(count)
         self._signal = FilteredSignal(np.zeros(count), np.zeros(count), np.zeros(count), np.zeros((count, COUNT)))
 
-    def fork(self, which: Sequence[int]) -> SnrEstimator:
+    def branch(self, which: Sequence[int]) -> SnrEstimator:
         """An estimator of copies of some probes, with their past motion."""
         new, index = SnrEstimator(self.sensor, len(which), self.sample_period), list(which)
         for name in ("_samples", "_sample_count", "spectrum", "_bias"):

@@ -168,7 +168,7 @@ def test_reset_options_set_fields_of_the_context():
     assert env.reset(seed=3, options={"context": whole})[1]["context"] == whole.model_dump()
     _, info = env.reset(seed=3, options={"probe": {"guide_length": 4.0}})
     assert info["inserted_length"] == pytest.approx(6.5)
-    assert env.unwrapped.episodes.batch.simulators[0].sensor == 160
+    assert env.unwrapped.episodes.simulated().simulators[0].sensor == 160
 
 
 REFUSED = [
@@ -196,7 +196,7 @@ def test_bad_arguments_and_options_are_named_in_one_line():
 def test_bad_actions_are_named_and_nothing_is_advanced():
     env = gym.make("probe_env/Snapshot-v1").unwrapped
     env.reset(seed=0)
-    before = env.episodes.batch.simulators[0].steps_done
+    before = env.episodes.simulated().simulators[0].steps_done
     for action, message in (
         (np.array([np.nan, 0.0]), "action[0] = nan"),
         (np.array([0.0, 1.5]), "action[1] = 1.5"),
@@ -209,7 +209,7 @@ def test_bad_actions_are_named_and_nothing_is_advanced():
     ):
         with pytest.raises(ValueError, match=re.escape(message)):
             env.step(action)
-    assert env.episodes.batch.simulators[0].steps_done == before
+    assert env.episodes.simulated().simulators[0].steps_done == before
 
 
 @pytest.mark.parametrize("fidelity", ["fast", "surrogate"])

@@ -8,7 +8,8 @@ from pydantic import ValidationError
 from probe_agents.policies.catalogue import make_policy
 from probe_env import Context, TaskConfig
 from probe_env.envs.episodes import Episodes
-from probe_env.envs.episodes.scoring import RoundTripScorer, StepRecord
+from probe_env.envs.episodes.backend import StepRecord
+from probe_env.envs.episodes.scoring import RoundTripScorer
 from probe_env.envs.task import uninspected_weight
 from probe_env.envs.task.observations import in_si_units
 from probe_env.fidelity import resolve_fidelity
@@ -29,15 +30,15 @@ def period_to(end):
     """A period of one probe that ends at an inserted length."""
     zero = np.zeros(1)
     return StepRecord(
-        stepped=ONE, good=ONE, before=ONE, after=np.array([end]), helix_length=np.array([9.0]), air=zero, seconds=zero,
-        action_change=zero, buckling_load=zero, window=None, signals={},
+        stepped=ONE, finite=ONE, length_before=ONE, length_after=np.array([end]), helix_length=np.array([9.0]),
+        air=zero, seconds=zero, max_tension=zero, buckling_load=zero, window=None, signals={},
     )  # fmt: skip
 
 
 def started(inspects="best"):
     """Scorer of an inspection of 4 m from 5 m on."""
-    scorer = RoundTripScorer(1, TaskConfig(passes="both", inspects=inspects))
-    scorer.begin(0, 5.0, 9.0)
+    scorer = RoundTripScorer(1, TaskConfig(passes="both", inspects=inspects), samples=False)
+    scorer.begin(0, 5.0, 9.0, None)
     return scorer
 
 
@@ -156,7 +157,7 @@ def test_both_passes_detect_what_either_detects():
     for inspects, calls in (("in", 0.05), ("back", 0.05), ("best", 0.1)):
         env, _, infos, _ = play(back=0.1, inspects=inspects, sensor={"false_calls": calls})
         curves[inspects] = infos[-1]["episode_kpis"]["pod"]
-    detection = env.episodes.scorer.metrics[0].detection
+    detection = env.episodes.scorer.signals[0].detection
     back = [info["inserted_length"] for info in infos[1:] if info["way"] < 0.0]
     better, sum_ = np.maximum(curves["in"], curves["back"]), curves["in"] + curves["back"]
     assert ((curves["best"] >= better - 1e-9) & (curves["best"] <= sum_ + 1e-9)).all()
@@ -227,7 +228,7 @@ class TestTimeLapse:
         steady = np.flatnonzero((speed[1:] == speed[:-1]) & (values["way"][1:] == values["way"][:-1])) + 1
         travelled = np.abs(np.diff(values["inserted_length"]))[steady[:-1] - 1]
         assert travelled == pytest.approx(0.4 * env.config.period, rel=1e-5)  # in either direction
-        simulator = env.episodes.batch.simulators[0]
+        simulator = env.episodes.simulated().simulators[0]
         turned = sum(info["way"] < 0.0 for info in infos[:-1])  # periods that began on withdrawal
         settled = env.config.settle_time
         inserting = (len(infos) - 1 - turned) * env.config.period / 4.0

@@ -13,7 +13,8 @@ from probe_agents.policies.catalogue import named_policies
 from probe_agents.training.config import Training
 from probe_agents.vec_env import ProbeVecEnv
 from probe_env import Context
-from probe_env.envs.surrogate import Noise, RandomField, Scatter, SurrogateEpisodes
+from probe_env.envs.episodes import Episodes
+from probe_env.envs.episodes.predicted import Noise, Predicted, RandomField, Scatter
 from probe_env.envs.task import TaskConfig
 from probe_env.envs.vibration_map import stored_map
 from probe_env.fidelity import PRESETS, Fidelity, resolve_fidelity
@@ -24,8 +25,10 @@ QUIET = Noise()
 TUBE = Context(friction=0.18, helix_diameter=1.4)
 
 
-def started(count, config=CONFIG, **settings):
-    episodes = SurrogateEpisodes(count, config, **settings)
+def started(count, config=CONFIG, noise=None):
+    episodes = Episodes(count, config, fidelity="surrogate")
+    if noise is not None:
+        episodes.backend = Predicted(count, config, stored_map(), noise)
     rngs = {k: np.random.default_rng(k) for k in range(count)}
     episodes.reset(range(count), rngs, {k: {"context": TUBE} for k in range(count)})
     return episodes
@@ -48,7 +51,7 @@ def test_spaces_and_infos_are_those_of_a_simulated_insertion():
 def test_batches_accept_either_name_and_restart_ended_episodes():
     assert resolve_fidelity("map") == resolve_fidelity("surrogate") == PRESETS["surrogate"]
     vector = gym.make_vec("probe_env/Insertion-v1", num_envs=2, fidelity="map")
-    assert isinstance(vector.unwrapped.episodes, SurrogateEpisodes)
+    assert isinstance(vector.unwrapped.episodes.backend, Predicted)
     batch = ProbeVecEnv("probe_env/Insertion-v1", 2, fidelity={"method": "surrogate"}, contexts="train")
     batch.seed(3)
     batch.reset()
@@ -65,19 +68,24 @@ def test_batches_accept_either_name_and_restart_ended_episodes():
     assert batch.kernel_seconds == 0.0
 
 
-def test_a_batch_equals_single_probes():
-    many, actions = started(3), np.random.default_rng(1).uniform(-1.0, 1.0, (40, 3, 2))
-    alone = SurrogateEpisodes(1, CONFIG)
-    alone.reset([0], {0: np.random.default_rng(2)}, {0: {"context": TUBE}})
-    for action in actions:
-        together, single = many.step(action), alone.step(action[2:])
-        # a matrix product of three rows is rounded differently from one of one row; nothing amplifies it
-        np.testing.assert_allclose(together.observation[2], single.observation[0], rtol=1e-6)
-        assert together.reward[2] == pytest.approx(single.reward[0], rel=1e-9, abs=1e-12)
-    some = many.step(actions[0], np.array([True, False, True]))
-    assert some.infos[1] == {}
-    assert some.reward[1] == 0.0
-    assert many.time.tolist() == [41.0, 40.0, 41.0]
+def test_a_batch_equals_single_environments_bit_for_bit():
+    batch = gym.make_vec("probe_env/Insertion-v1", 8, fidelity="surrogate")
+    single = [gym.make("probe_env/Insertion-v1", fidelity="surrogate") for _ in range(8)]
+    assert np.array_equal(batch.reset(seed=5)[0], [env.reset(seed=5 + k)[0] for k, env in enumerate(single)])
+    for actions in np.random.default_rng(1).uniform(-1.0, 1.0, (150, 8, 2)).astype(np.float32):
+        observation, reward, _, _, infos = batch.step(actions)
+        steps = [env.step(action) for env, action in zip(single, actions, strict=True)]
+        assert np.array_equal(observation, [step[0] for step in steps])
+        assert reward.tolist() == [step[1] for step in steps]
+        assert infos["radial_rms_m"].tolist() == [step[4]["radial_rms_m"] for step in steps]
+
+
+def test_a_probe_that_is_not_stepped_keeps_its_state():
+    many = started(3)
+    step = many.step(np.zeros((3, 2)), np.array([True, False, True]))
+    assert step.infos[1] == {}
+    assert step.reward[1] == 0.0
+    assert many.scorer.totals["time"].tolist() == [1.0, 0.0, 1.0]
 
 
 def test_without_noise_it_is_the_map_and_the_closed_form():
@@ -99,11 +107,11 @@ def test_without_noise_it_is_the_map_and_the_closed_form():
 def test_feed_follows_its_ramp_and_air_its_lag():
     config = TaskConfig(ramp=0.1, air_lag=2.0)
     episodes = started(1, config, noise=QUIET)
-    air, length = episodes.air[0], episodes.inserted_length[0]
+    air, length = episodes.backend.air[0], episodes.inserted_length[0]
     episodes.step(config.actions(np.array([0.35]), np.array([0.03])))
-    assert episodes.feed[0] == pytest.approx(0.3)
+    assert episodes.backend.feed[0] == pytest.approx(0.3)
     assert episodes.inserted_length[0] - length == pytest.approx(0.25, abs=5e-4)
-    assert episodes.air[0] == pytest.approx(0.03 + (air - 0.03) * np.exp(-0.5))
+    assert episodes.backend.air[0] == pytest.approx(0.03 + (air - 0.03) * np.exp(-0.5))
     length = episodes.inserted_length[0]
     episodes.step(config.actions(np.array([0.35]), np.array([0.03])))
     assert episodes.inserted_length[0] - length == pytest.approx(0.35 - 0.5 * 0.05**2 / 0.1, abs=5e-4)
@@ -173,13 +181,15 @@ def test_tasks_and_tubes_outside_the_map_are_named():
         arguments = dict(settings)
         config = TaskConfig.model_validate(arguments.pop("config", {}))
         with pytest.raises(ValueError, match=message):
-            SurrogateEpisodes(1, config, **arguments).reset([0], {0: np.random.default_rng(0)}, {0: options})
+            Episodes(1, config, fidelity="surrogate", **arguments).reset(
+                [0], {0: np.random.default_rng(0)}, {0: options}
+            )
 
 
 def test_other_environments_rendering_and_planning_are_refused():
     refused = {
         "Snapshot-v1": "Insertion-v1\\), without growing = False",
-        "Inspection-v0": "Insertion-v1\\), without passes = 'both'",
+        "Inspection-v0": "surrogate does not simulate withdrawal",
         "Design-v1": "fidelity = 'surrogate' is for Insertion-v1 only",
     }
     for name, message in refused.items():
@@ -191,7 +201,7 @@ def test_other_environments_rendering_and_planning_are_refused():
         Fidelity(method="surrogate", time_step=1e-4)
     case = load_case(None, "test", 1)
     planner = named_policies(("planner",), case.config.full_observation)
-    with pytest.raises(ValueError, match="no simulator for planning"):
+    with pytest.raises(ValueError, match="simulates no motion"):
         run_plan(Plan(planner, case.contexts, (0,), case.config.full_observation, PRESETS["surrogate"]), None)
 
 
@@ -199,7 +209,7 @@ def test_a_plant_uses_the_map_next_to_its_file():
     env = gym.make("probe_env/Insertion-v1", fidelity="surrogate", tube="configs/tubes/snr.toml")
     episodes = env.unwrapped.episodes
     expected = load_case(Path("snr"), "test", 1).vibration
-    assert episodes.map == expected != stored_map()
+    assert episodes.backend.map == expected != stored_map()
     env.reset(seed=0)
     info = env.step(env.action_space.sample())[4]
     assert info["noise_rms_m"] == info["radial_rms_m"]  # the map is of the noise in a flaw's band

@@ -115,7 +115,7 @@ def test_stopped_evaluation_continues_to_the_same_table(stopped_at, tmp_path):
 
 
 def test_folder_of_other_settings_is_refused(stored, monkeypatch):
-    monkeypatch.setattr("probe_agents.evaluation.plan.make_episodes", None)  # simulating anything would fail
+    monkeypatch.setattr("probe_agents.evaluation.plan.Episodes", None)  # simulating anything would fail
     table, before = pd.read_parquet(stored / "episodes.parquet"), {path: path.read_bytes() for path in stored.iterdir()}
     limit = CONFIG.model_copy(update={"time_limit": 0.5})
     for plan, name in (

@@ -149,7 +149,7 @@ def test_the_hours_of_a_bundle_are_printed_stored_and_reported(tmp_path, capsys)
 
 def test_report_of_a_stored_evaluation(stored, tmp_path, capsys, monkeypatch):
     """The same one, or compared with another policy; a folder without one is named."""
-    monkeypatch.setattr("probe_agents.evaluation.plan.make_episodes", None)  # playing anything would fail
+    monkeypatch.setattr("probe_agents.evaluation.plan.Episodes", None)  # playing anything would fail
     before = {name: (stored / name).read_bytes() for name in ("report.html", "summary.csv", "report.json")}
     for name in ("report.html", "summary.csv"):
         (stored / name).unlink()

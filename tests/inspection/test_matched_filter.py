@@ -86,7 +86,7 @@ def test_a_filter_weighs_by_the_period_of_its_own_probe():
         for part in motion[:, k : k + 1].reshape(periods, -1, 1):
             together.update(np.array([k]), part, np.array([0.2]))
             alone[k].update(np.array([0]), part, np.array([0.2]))
-    copies = together.fork([1, 0])
+    copies = together.branch([1, 0])
     for k in range(2):
         assert (together.filter_spectrum(k) == alone[k].filter_spectrum(0)).all()
         assert (copies.filter_spectrum(1 - k) == alone[k].filter_spectrum(0)).all()

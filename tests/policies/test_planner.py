@@ -99,11 +99,11 @@ def test_branch_does_not_change_the_episode() -> None:
         (InspectionPlanner(both, periods=2, candidates=4, blur=BLUR), lambda: begun(both)),
     ):
         looked, alone = begin(), begin()
-        actions, states = planner.decide(looked, [0, 1], looked.observation, [None, None])
-        one, _ = planner.decide(alone, [1], alone.observation[1:], [None])
+        actions, states = planner.plan_actions(looked, [0, 1], looked.observation, [None, None])
+        one, _ = planner.plan_actions(alone, [1], alone.observation[1:], [None])
         np.testing.assert_array_equal(one[0], actions[1])
         assert [state.time for state in states] == [1, 1]
-        held, _ = planner.decide(looked, [0, 1], looked.observation, states)
+        held, _ = planner.plan_actions(looked, [0, 1], looked.observation, states)
         np.testing.assert_array_equal(held, actions)
         steps = [each.step(np.zeros((2, 2))) for each in (looked, begin())]
         np.testing.assert_array_equal(steps[0].observation, steps[1].observation)
@@ -113,8 +113,8 @@ def test_branch_does_not_change_the_episode() -> None:
 def test_best_candidate_has_the_max_reward() -> None:
     """By playing every candidate on deep copies, with the map's rest from where each has come to."""
     planner, episodes = InsertionPlanner(CONFIG, candidates=4, periods=3), running()
-    actions, states = planner.decide(episodes, [0, 1], episodes.observation, [None, None])
-    held = np.array([[s.feed_speed, s.air_supply_rate] for s in episodes.batch.simulators])
+    actions, states = planner.plan_actions(episodes, [0, 1], episodes.observation, [None, None])
+    held = np.array([[s.feed_speed, s.air_supply_rate] for s in episodes.simulated().simulators])
     tried, worth = planner._candidates(TUBES, episodes.inserted_length, held, [0, 0]), []
     for candidate in range(4):
         played, action = copy.deepcopy(episodes), CONFIG.actions(*tried[:, candidate].T).astype(np.float32)
@@ -141,8 +141,8 @@ def test_remaining_reward_at_the_end_and_after_lost_drive() -> None:
 
 def test_blur_and_other_tubes_change_the_copies_only() -> None:
     episodes = running()
-    state, scene = episodes.batch.simulators[0].state.d.copy(), episodes.batch.simulators[0].scene
-    copies = episodes.fork([0, 0, 1])
+    state, scene = episodes.simulated().simulators[0].state.d.copy(), episodes.simulated().simulators[0].scene
+    copies = episodes.branch([0, 0, 1])
     move_to(TUBES[1], copies, range(2))
     blur_states(copies, BLUR, [1])
     moved = copies.batch.simulators
@@ -153,8 +153,8 @@ def test_blur_and_other_tubes_change_the_copies_only() -> None:
     assert 0.1 * BLUR < np.std(moved[0].state.d - state) < BLUR
     reward_of_holding(copies, np.tile([0.3, 0.02], (3, 1)), 1)
     np.testing.assert_array_equal(moved[0].state.d, moved[1].state.d)
-    np.testing.assert_array_equal(episodes.batch.simulators[0].state.d, state)
-    assert (episodes.context[0], episodes.batch.simulators[0].scene) == (TUBES[0], scene)
+    np.testing.assert_array_equal(episodes.simulated().simulators[0].state.d, state)
+    assert (episodes.context[0], episodes.simulated().simulators[0].scene) == (TUBES[0], scene)
 
 
 def test_a_planner_holds_to_the_permitted_speed() -> None:
@@ -163,7 +163,7 @@ def test_a_planner_holds_to_the_permitted_speed() -> None:
     for instrument in (None, {"test_frequency": 100.0}):
         config = TaskConfig(instrument=instrument)
         episodes, planner = begun(config), InsertionPlanner(config)
-        actions, _ = planner.decide(episodes, [0, 1], episodes.observation, [None, None])
+        actions, _ = planner.plan_actions(episodes, [0, 1], episodes.observation, [None, None])
         decided.append(config.targets(actions)[:, 0])
     assert decided[0].min() > 0.25
     assert decided[1].max() <= 0.25 + 1e-7
@@ -201,7 +201,7 @@ def test_an_estimated_tube_is_read_from_the_tension(seeds: Callable[[int], Seque
     """
     planner, count = InsertionPlanner(CONFIG, tube="estimated", candidates=2, periods=1, average=1e-3), 16
     episodes = running(periods=30, feed=0.2, seeds=seeds(count))
-    _, states = planner.decide(episodes, range(count), episodes.observation, [None] * count)
+    _, states = planner.plan_actions(episodes, range(count), episodes.observation, [None] * count)
     within = 0.0016 + of_another(0.0055, among=len(TUBES), members=count // len(TUBES))
     for k, tube in enumerate(TUBES):
         friction = np.mean([state.friction for state in states[k :: len(TUBES)]])
@@ -211,7 +211,9 @@ def test_an_estimated_tube_is_read_from_the_tension(seeds: Callable[[int], Seque
     assert known.friction == pytest.approx(states[0].friction, abs=0.0025)
     blind = TaskConfig(observe_root_tension=False)
     with pytest.raises(ValueError, match="planner-estimated needs the root tension"):
-        InsertionPlanner(blind, tube="estimated").decide(episodes, [0], np.zeros((1, len(blind.observations))), [None])
+        InsertionPlanner(blind, tube="estimated").plan_actions(
+            episodes, [0], np.zeros((1, len(blind.observations))), [None]
+        )
 
 
 @pytest.mark.slow
@@ -253,7 +255,7 @@ def test_copies_of_an_episode_do_as_it_does(inspects: ScoredPass, measure: str) 
     for _ in range(3):
         episodes.step(held(config, 0.4, 0.02))
     aside = copy.deepcopy(episodes)
-    forked = episodes.fork([1, 0, 1])
+    forked = episodes.branch([1, 0, 1])
     assert forked.context == [TUBES[1], TUBES[0], TUBES[1]]
     while forked.running.any():
         running, actions = forked.running.copy(), held(config, 0.35, 0.025)
@@ -304,8 +306,8 @@ def test_remaining_reward_of_both_passes() -> None:
     expected = left * config.progress_weight - (left + 3.0) * per_metre + config.vibration_weight * np.array(known)
     np.testing.assert_allclose(rest(episodes), expected)
     assert min(known) > 0.0
-    hanging = episodes.fork([0])
-    hanging.scorer.metrics[0].consecutive_slack_steps = 1
+    hanging = episodes.branch([0])
+    hanging.scorer.slack_periods[0] = 1
     assert rest(hanging)[0] == pytest.approx(-uninspected_weight(config) * (left[0] + 3.0))
 
 
@@ -314,8 +316,8 @@ def test_reward_of_holding_ends_with_the_episode() -> None:
     config = task()
     episodes = begun(config)
     actions = np.array([[0.4, 0.02], [0.25, 0.02]])
-    whole = reward_of_holding(episodes.fork([0, 1]), actions, 1000)
-    np.testing.assert_allclose(reward_of_holding(episodes.fork([0, 1]), actions, 22)[0], whole[0])
+    whole = reward_of_holding(episodes.branch([0, 1]), actions, 1000)
+    np.testing.assert_allclose(reward_of_holding(episodes.branch([0, 1]), actions, 22)[0], whole[0])
     rewards = np.zeros(2)
     while episodes.running.any():
         given = config.actions(*actions.T).astype(np.float32)

@@ -71,16 +71,16 @@ def row_of(runner: RolloutRunner, k: int) -> tuple[float, ...]:
     """The last period of probe ``k``, the columns ``runs.COLUMNS``."""
     assert runner.last is not None
     names = (*INFO_COLUMNS, "target_feed_speed", "target_air_supply_rate")
-    return (*(float(runner.last.infos[k][name]) for name in names), runner.episodes.scorer.metrics[k].reward)
+    return (*(float(runner.last.infos[k][name]) for name in names), float(runner.episodes.scorer.totals["reward"][k]))
 
 
 def shape_of(runner: RolloutRunner, k: int) -> ProbeShape:
     """Probe ``k`` at the end of its last period."""
-    episodes = runner.episodes
-    simulator = episodes.batch.simulators[k]
+    episodes, simulated = runner.episodes, runner.episodes.simulated()
+    simulator = simulated.simulators[k]
     chain, root, scene = simulator.chain, simulator.root, simulator.scene
     nodes = np.flatnonzero(chain.contact_stiffness[: root + 1] > 0.0)[::-1]
-    radial = episodes.meter.last_second(k)
+    radial = simulated.meter.last_second(k)
     observation = in_si_units(episodes.config, runner.observed(k))
     return ProbeShape(
         position=(root - nodes) * chain.element_length,
@@ -94,7 +94,7 @@ def shape_of(runner: RolloutRunner, k: int) -> ProbeShape:
         helix_length=scene.tube.helix_length,
         signal_time=SAMPLE_PERIOD * (np.arange(len(radial)) + 1 - len(radial)),
         signal_radial=radial,
-        spectrum=episodes.meter.filter_spectrum(k),
+        spectrum=simulated.meter.filter_spectrum(k),
         feed_speed=simulator.feed_speed,
         observation={name: float(values[0]) for name, values in observation.items()},
     )
@@ -210,7 +210,7 @@ class _RequestRunner:
         k, episodes = self.watched, runner.episodes
         if not episodes.running[k]:
             return
-        simulator, window, duration, length = episodes.batch.simulators[k], episodes.window, *SLOW_MOTION
+        simulator, window, duration, length = episodes.simulated().simulators[k], episodes.window, *SLOW_MOTION
         axial = window.axial[:, k] if window and window.axial is not None else np.zeros(0)
         radial = window.radial[:, k] if window and window.radial is not None else np.zeros(0)
         watch = Watch(simulator, length, axial, radial)

@@ -182,7 +182,9 @@ def best_of(front: pd.DataFrame, config: TaskConfig) -> Design:
     def reward(row: dict[str, float]) -> float:  # over the span; the air of a fixed schedule is equal for all designs
         seconds = row["inspection_time_s"]
         squares, air = span * row["mean_square_ratio"], seconds * row.get("air_supply_rate", 0.0)
-        return float(sum(reward_terms(config, span - row["guide_length"], squares, seconds, air).values()))
+        inspected = span - row["guide_length"]
+        terms = reward_terms(config, inspected=inspected, squares=squares, seconds=seconds, air=air)
+        return float(sum(terms.values()))
 
     rows: list[Any] = front.to_dict("records")
     best = max([row for row in rows if row["drive_margin_n"] >= 0.0] or rows, key=reward)

@@ -128,7 +128,7 @@ def render_strip(
     """
     check_format(output)
     episode = _Episode(env_id, policy, **arguments)
-    simulator = episode.episodes.batch.simulators[0]  # before the reset
+    simulator = episode.episodes.simulated().simulators[0]  # before the reset
     start, end = simulator.inserted_length, simulator.scene.tube.helix_length
     within("length", length, simulator.scene.probe.guide_length, FARTHEST, "m")  # includes the sensor
     within("duration", duration, FRAME_PERIOD, LONGEST, "s")
@@ -172,13 +172,14 @@ def _motion(episode: _Episode, at: float, length: float, duration: float) -> Mot
     window = episodes.window
     if window and window.axial is not None and window.radial is not None:
         axial, radial = window.axial[:, 0], window.radial[:, 0]
-    watch, remaining = Watch(episodes.batch.simulators[0], length, axial, radial), duration
+    simulated, remaining = episodes.simulated(), duration
+    watch = Watch(simulated.simulators[0], length, axial, radial)
     while remaining > 0.5 * SAMPLE_PERIOD and not episode.ended:
         action = episode.decide()
         targets = episodes.config.targets(action[None]) * episodes.direction[:, None]
-        period = episodes.config.period / episodes.time_lapse(targets)[0]  # of the dynamics
+        period = episodes.config.period / simulated.time_lapse(targets, episodes.direction)[0]  # of the dynamics
         feed_speed, air_supply_rate = targets[0]
-        watch.follow(episodes.batch.simulators[0], feed_speed, air_supply_rate, min(remaining, period))
+        watch.follow(simulated.simulators[0], feed_speed, air_supply_rate, min(remaining, period))
         episode.step(action)
         remaining -= period
     return watch.motion()

@@ -48,8 +48,7 @@ from probe_agents.terminal.work import Work, announce
 from probe_env import Context, Fidelity
 from probe_env.arrays import BoolArray
 from probe_env.design import RANGES
-from probe_env.envs.env import make_episodes
-from probe_env.envs.episodes import Step
+from probe_env.envs.episodes import Episodes, Step
 from probe_env.envs.episodes.starts import Probes
 from probe_env.envs.plants import Bundle
 from probe_env.envs.task import VISIBLE_FIELDS, TaskConfig, describe
@@ -311,7 +310,7 @@ class RolloutRunner:
     def __init__(self, plan: Plan, missing: deque[EpisodeId], batch: int, threads: int | None) -> None:
         self.plan, self.missing = plan, missing
         count = min(batch, len(missing))
-        self.episodes = make_episodes(
+        self.episodes = Episodes(
             count,
             plan.config,
             threads=threads,
@@ -364,11 +363,12 @@ class RolloutRunner:
         step = self.last = self.episodes.step(self.actions, self.active)
         self.decided = False
         self._observation = step.observation
-        window = getattr(self.episodes, "window", None)  # the surrogate has none
+        assert self.episodes.window is not None
+        axial = self.episodes.window.statistics.get("axial_velocity_rms_m_per_s")
         for k in np.flatnonzero(self.active).tolist():
             info = step.infos[k]
             if direction[k] > 0.0:
-                self.axial[k].append(float(window.statistics["axial_velocity_rms_m_per_s"][k]) if window else np.nan)
+                self.axial[k].append(np.nan if axial is None else float(axial[k]))
                 self.profile[k].append(tuple(float(info.get(name, np.nan)) for name in COLUMNS))
             if "episode_kpis" in info:
                 episode, metres = self.episode_id(k), per_metre(self.profile[k])

@@ -196,7 +196,7 @@ def insert(
     every_metre = fidelity.model_copy(update={"time_lapse": 1.0, "steady_feed": None})
     episodes = Episodes(1, config, threads=1, allow_standstill=True, fidelity=every_metre)
     observation, started = episodes.reset([0], {0: np.random.default_rng(seed)}, {0: {"context": context}})
-    guide = episodes.batch.simulators[0].scene.probe.guide_length
+    guide = episodes.simulated().simulators[0].scene.probe.guide_length
     positions, periods, radial = [started[0]["inserted_length"] - guide], list[dict[str, Any]](), []
     with tqdm(desc="sensor at", initial=positions[0], unit="m", bar_format="{desc} {n:.1f} {unit} [{elapsed}]") as bar:
         for step, _ in rollout(episodes, [policy], observation):
@@ -211,7 +211,6 @@ def insert(
             periods.append(info)
             if until is not None and info["inserted_length"] >= until - END_TOLERANCE:
                 break
-    metrics = episodes.scorer.metrics[0]
     each = len(radial[0])
     share = np.arange(1, each + 1) / each
     motion, feed = np.concatenate(radial), np.repeat([period["feed_speed"] for period in periods], each)
@@ -223,7 +222,9 @@ def insert(
         spectrum=centred_spectra(config.sensor, motion, feed),
         segment=FILTER_SAMPLES,
     )
-    return Insertion(recording, tuple(periods), with_pod_columns(metrics.detection.kpis(metrics.inspected, length)))
+    inspected = float(episodes.scorer.totals["inspected"][0])
+    found = episodes.scorer.signals[0].detection.kpis(inspected, length)
+    return Insertion(recording, tuple(periods), with_pod_columns(found))
 
 
 def centred_spectra(sensor: Sensor, radial: FloatArray, feed: FloatArray) -> FloatArray:

@@ -28,7 +28,7 @@ from probe_agents.policies.trained import RESTORE, read_weights
 from probe_agents.policies.view import View, without
 from probe_agents.records.atomic import write_atomically
 from probe_env.arrays import BoolArray
-from probe_env.envs.episodes.decisions import averaged_columns, changed_targets
+from probe_env.envs.episodes.actions import averaged_columns, changed_targets
 from probe_env.envs.task import TaskConfig, action_in
 from probe_env.envs.task.scales import PROBE
 from probe_env.envs.vibration_map import stored_map

@@ -23,7 +23,7 @@ from probe_env import Context
 from probe_env.arrays import BoolArray, FloatArray
 from probe_env.envs.episodes import Episodes
 from probe_env.envs.episodes.scoring import RoundTripScorer
-from probe_env.envs.task import TaskConfig, metre_reward, uninspected_weight
+from probe_env.envs.task import TaskConfig, metre_reward, reward_terms, uninspected_weight
 from probe_env.envs.task.observations import in_si_units
 from probe_env.envs.vibration_map import CONTEXT, VibrationMap, stored_map
 from probe_env.physics.closed_forms import MEASURED, friction_from_tension
@@ -99,13 +99,13 @@ class ModelPredictivePolicy(ABC):
         settings = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("config", "vibration")}
         return {"policy": type(self).__name__, **settings}
 
-    def decide(
+    def plan_actions(
         self, episodes: Episodes, which: Sequence[int], observation: npt.NDArray[np.float32], states: Sequence[Any]
     ) -> tuple[npt.NDArray[np.float32], list[Any]]:
         """Actions (n, 2) and new states of n running episodes for their observations (n, d) and states."""
         memories: list[Memory] = []
         for k, state in zip(which, states, strict=True):
-            simulator = episodes.batch.simulators[k]
+            simulator = episodes.simulated().simulators[k]
             memories.append(state or Memory(0, simulator.feed_speed, simulator.air_supply_rate, self.prior))
         memories = self._with_friction(observation, memories)
         due = [row for row, memory in enumerate(memories) if memory.time % self.every == 0]
@@ -127,7 +127,7 @@ class ModelPredictivePolicy(ABC):
         tubes = self._tubes([episodes.context[k] for k in which], memories)
         candidates = self._candidates(tubes, inserted, held, entropy)
         candidates[..., 0] = np.minimum(candidates[..., 0], self.config.permitted_feed)
-        copies = episodes.fork(np.repeat(which, self.candidates).tolist())
+        copies = episodes.branch(np.repeat(which, self.candidates).tolist())
         for row, (k, tube) in enumerate(zip(which, tubes, strict=True)):
             if tube is not episodes.context[k]:
                 move_to(tube, copies, range(row * self.candidates, (row + 1) * self.candidates))
@@ -292,18 +292,20 @@ def candidates_near(
 
 def move_to(tube: Context, copies: Episodes, which: range) -> None:
     """Continue copies of one episode in another tube."""
-    simulators = copies.batch.simulators
+    simulators = copies.simulated().simulators
     begun = {name: getattr(simulators[which[0]].scene, name) for name in ("probe", "carrier_length")}
-    moved = simulators[which[0]].branch(copies.sampler.build(tube, {}).model_copy(update=begun))
+    scene = copies.sampler.build(tube, {}).model_copy(update=begun)
+    moved = simulators[which[0]].branch(scene)
     for k in which:
-        simulators[k], copies.context[k] = moved.branch(), tube
+        simulators[k] = moved.branch()
+        copies.set_tube(k, tube, scene)
 
 
 def blur_states(copies: Episodes, blur: float, entropy: list[int]) -> None:
     """Displace the nodes of copies radially by noise [m], equal for all copies of a probe."""
     if blur <= 0.0:
         return
-    for simulator in copies.batch.simulators:
+    for simulator in copies.simulated().simulators:
         noise = np.random.default_rng([*entropy, simulator.steps_done]).normal(size=simulator.chain.node_count)
         simulator.displace(blur * noise[: simulator.root])
 
@@ -340,7 +342,7 @@ def reward_of_holding(copies: Episodes, held: FloatArray, periods: int) -> Float
 
 def is_slack(episodes: Episodes) -> BoolArray:
     """(N,) whether the cable is slack, so that the drive will be lost."""
-    return np.array([metrics.consecutive_slack_steps > 0 for metrics in episodes.scorer.metrics])
+    return np.asarray(episodes.scorer.slack_periods > 0)
 
 
 def remaining_reward_of_both_passes(episodes: Episodes, held: FloatArray) -> FloatArray:
@@ -357,10 +359,12 @@ def remaining_reward_of_both_passes(episodes: Episodes, held: FloatArray) -> Flo
     here = np.where(inserting, length - inserted, to_pass) / held[:, 0]
     back = np.where(inserting, length - passes.start, 0.0) / config.feed_speeds[1]
     air = held[:, 1] * here + config.air_supply_rates[0] * back
+    best, left = config.inspects == "best", np.where(inserting, length - passes.start, to_pass)
     # the vibration of the insertion is already charged; a withdrawal without vibration refunds it
-    refund = config.vibration_weight * shaken if config.inspects == "best" else 0.0
-    left = np.where(inserting, length - passes.start, to_pass)
-    metres = uninspected if config.inspects == "best" else left
-    reward = config.progress_weight * metres + refund - config.time_weight * (here + back) - config.air_weight * air
+    terms = reward_terms(
+        config, inspected=uninspected if best else left, squares=-shaken if best else np.zeros(len(left)),
+        seconds=here + back, air=air,
+    )  # fmt: skip
+    reward = sum(terms.values())
     lost_drive = -uninspected_weight(config) * (uninspected + left)
     return np.where(episodes.running, np.where(is_slack(episodes), lost_drive, reward), 0.0)

@@ -1,5 +1,6 @@
-"""Episodes of N probes: simulator and task together, for single environments and batches."""
+"""Episodes of N probes: simulator or prediction, and task together, for single environments and batches."""
 
-from probe_env.envs.episodes.episodes import START_PERTURBATION, Episodes, Step
+from probe_env.envs.episodes.backend import START_PERTURBATION
+from probe_env.envs.episodes.episodes import Episodes, Step
 
 __all__ = ["START_PERTURBATION", "Episodes", "Step"]

@@ -1,4 +1,4 @@
-"""Episodes of N probes: simulator and task together.
+"""Episodes of N probes: task and backend together.
 
 Environments wrap this class. A single environment is a batch of one, so N environments equal N single ones.
 """
@@ -7,17 +7,18 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from pathlib import Path
 from typing import Any, Final, NamedTuple, Unpack
 
 import numpy as np
 import numpy.typing as npt
 
-from probe_env.arrays import BoolArray, FloatArray
+from probe_env.arrays import BoolArray, FloatArray, rows_of
 from probe_env.design import RANGES
 from probe_env.envs.contexts import Context
-from probe_env.envs.episodes.limits import check_fidelity, check_start
-from probe_env.envs.episodes.scoring import RoundTripScorer, Scorer, StepRecord
+from probe_env.envs.episodes.backend import Backend, Simulated
+from probe_env.envs.episodes.predicted import Predicted, check_task
+from probe_env.envs.episodes.scoring import RoundTripScorer, Scorer
 from probe_env.envs.episodes.starts import (
     DEFAULTS,
     EpisodeSampler,
@@ -26,23 +27,18 @@ from probe_env.envs.episodes.starts import (
     restored_on_error,
     settling,
 )
-from probe_env.envs.task import FAILURES, Score, TaskConfig, air_used, as_actions
+from probe_env.envs.task import FAILURES, TaskConfig
 from probe_env.envs.task.observations import SensorModel, normal_draws
+from probe_env.envs.vibration_map import VibrationMap, load_for, stored_map
 from probe_env.fidelity import resolve_fidelity
-from probe_env.inspection.snr import SnrEstimator
-from probe_env.physics.closed_forms import buckling_load
-from probe_env.physics.simulation.batch import SimulatorBatch
-from probe_env.physics.simulation.signals import SAMPLE_PERIOD
-from probe_env.physics.simulation.simulator import Simulator
-from probe_env.physics.simulation.window import Window, joined
+from probe_env.physics.simulation.window import Window
 from probe_env.scene import Scene
 from probe_env.settings import check_keywords
 
-START_PERTURBATION: Final = 1e-7  # [m]
 IN_INFO: Final = (
     "radial_rms_m", "radial_acceleration_rms_m_per_s2", "axial_rms_m", "tension_mean_n", "lift_off_share",
 )  # fmt: skip
-"""Statistics of the period in ``info``."""
+"""Statistics of the period in ``info``, as far as the backend has them."""
 
 
 class Step(NamedTuple):
@@ -59,16 +55,18 @@ class Episodes:
     """N episodes side by side.
 
     Args:
-        count: N.
-        config: the task.
+        num_envs: N.
+        config: the task, or changed fields.
+        defaults: fields of the task that the environment changes.
         threads: maximum number of threads; default: all cores.
         allow_standstill: whether the feed action may be the task's ``standstill``, for replays of logs.
-        settings: see ``EpisodeSettings``.
+        caller: what errors about unknown settings name.
+        settings: see ``EpisodeSettings``; "surrogate" predicts, every other fidelity simulates.
 
     Attributes:
+        backend: what advances the probes.
         window: motion in the last period; None before the first.
         running: (N,) whether the episode has begun and not ended.
-        meter: estimator of the signal-to-noise.
 
     Raises:
         ValueError: an argument is not valid.
@@ -77,35 +75,45 @@ class Episodes:
 
     def __init__(
         self,
-        count: int,
-        config: TaskConfig,
+        num_envs: int,
+        config: TaskConfig | Mapping[str, Any] | None = None,
         *,
+        defaults: Mapping[str, Any] | None = None,
         threads: int | None = None,
         allow_standstill: bool = False,
+        caller: str = "Episodes",
         **settings: Unpack[EpisodeSettings],
     ) -> None:
-        check_keywords(type(self).__name__, settings, DEFAULTS)
-        config, settings = resolve_settings({}, config, settings)
-        arguments = DEFAULTS | settings
-        if count < 1:
-            raise ValueError(f"num_envs = {count!r} is outside the accepted range 1 and more")
-        self.config, self.allow_standstill = config, allow_standstill
-        feed_speed, air_supply_rate = settling(config, settings)
+        self.config, settings = resolve_settings(defaults or {}, config, settings)
+        check_keywords(caller, settings, ("config", *DEFAULTS))
+        arguments, self.allow_standstill = DEFAULTS | settings, allow_standstill
+        if num_envs < 1:
+            raise ValueError(f"num_envs = {num_envs!r} is outside the accepted range 1 and more")
+        feed_speed, air_supply_rate = settling(self.config, settings)
         self.sampler = EpisodeSampler(
-            config, arguments["contexts"], arguments["probes"], feed_speed, air_supply_rate, arguments["in_turn"]
+            self.config, arguments["contexts"], arguments["probes"], feed_speed, air_supply_rate, arguments["in_turn"]
         )
-        self.fidelity = resolve_fidelity(arguments["fidelity"], self.sampler.stiffest, config.growing, config.returns)
-        check_fidelity(self.fidelity, config)
-        self.start_action = config.action(feed_speed, air_supply_rate)
-        scenes = [self.sampler.build(Context(), {})] * count
-        self.batch = SimulatorBatch(scenes, *self.fidelity.numerics, threads=threads, **self._options())
-        self.scorer = (RoundTripScorer if config.returns else Scorer)(count, config)
-        self.meter, self.sensors = SnrEstimator(config.sensor, count, SAMPLE_PERIOD), SensorModel(config, count)
-        self.context = [Context()] * count
-        self.rng = [np.random.default_rng(k) for k in range(count)]
-        self.episode = np.zeros(count, dtype=int)
-        self.actions = np.tile(self.start_action, (count, 1))
-        self.running = np.zeros(count, dtype=bool)
+        self.fidelity = resolve_fidelity(
+            arguments["fidelity"], self.sampler.stiffest, self.config.growing, self.config.returns
+        )
+        self.start_action = self.config.action(feed_speed, air_supply_rate)
+        self.backend: Backend
+        if self.fidelity.simulates:
+            scene = self.sampler.build(Context(), {})
+            self.backend = Simulated(num_envs, self.config, self.fidelity, scene, threads)
+        else:
+            vibration = map_of(arguments["surrogate_map"], self.config.scene)
+            check_task(self.config, arguments["probes"], vibration)
+            self.backend = Predicted(num_envs, self.config, vibration)
+        kind = RoundTripScorer if self.config.returns else Scorer
+        self.scorer = kind(num_envs, self.config, self.backend.samples)
+        self.sensors = SensorModel(self.config, num_envs)
+        self.context = [Context()] * num_envs
+        self.constants = {name: np.zeros(num_envs) for name in (*Context.model_fields, *RANGES)}
+        self.rng = [np.random.default_rng(k) for k in range(num_envs)]
+        self.episode = np.zeros(num_envs, dtype=int)
+        self.actions = np.tile(self.start_action, (num_envs, 1))
+        self.running = np.zeros(num_envs, dtype=bool)
         self.window: Window | None = None
 
     def __len__(self) -> int:
@@ -113,11 +121,6 @@ class Episodes:
 
     def __repr__(self) -> str:
         return f"{len(self)} x {self.config!r}, {self.fidelity!r}"
-
-    @property
-    def kernel_seconds(self) -> float:
-        """Time spent in the kernels so far [s], over all threads."""
-        return self.batch.kernel_seconds
 
     @property
     def observation(self) -> npt.NDArray[np.float32]:
@@ -132,23 +135,24 @@ class Episodes:
     @property
     def inserted_length(self) -> FloatArray:
         """(N,) length of cable in the helix, at most the helix length [m]."""
-        return np.array([s.length_in_helix for s in self.batch.simulators])
+        return self.backend.inserted_length
 
     @property
     def helix_length(self) -> FloatArray:
         """(N,) [m]."""
-        return np.array([s.scene.tube.helix_length for s in self.batch.simulators])
+        return self.backend.helix_length
 
-    def time_lapse(self, targets: FloatArray) -> FloatArray:
-        """(N,) time-lapse factor of a period with targets (N, 2): only period / factor of the motion is simulated.
+    def simulated(self) -> Simulated:
+        """The backend, if it simulates.
 
-        Vibration on insertion is nearly steady, so metres may be skipped. On withdrawal the motion is a transient of
-        the turn or of a change of feed, which time-lapse would spread over more metres.
+        Raises:
+            ValueError: it predicts.
         """
-        now = [simulator.feed_speed for simulator in self.batch.simulators]
-        return np.where(self.direction > 0.0, self.fidelity.time_lapse_of(now, targets[:, 0]), 1.0)
+        if not isinstance(self.backend, Simulated):
+            raise ValueError("fidelity = 'surrogate' simulates no motion, which is needed here: use fast or finer")
+        return self.backend
 
-    def fork(self, which: Sequence[int]) -> Episodes:
+    def branch(self, which: Sequence[int]) -> Episodes:
         """Copies of the episodes ``which`` in their current state, for planning; an index may occur more than once.
 
         Rewards and endings are those of the originals; metrics start from zero.
@@ -156,13 +160,18 @@ class Episodes:
         Raises:
             ValueError: ``which`` is empty or has an index out of range.
         """
-        new = copy.copy(self)
-        new.batch = self.batch.branch(which)
-        new.scorer, new.meter, new.sensors = self.scorer.fork(which), self.meter.fork(which), self.sensors.fork(which)
+        backend = self.backend.branch(which)
+        new = rows_of(self, which)
+        new.backend, new.scorer, new.sensors = backend, self.scorer.branch(which), rows_of(self.sensors, which)
         new.context, new.rng = [self.context[k] for k in which], [copy.deepcopy(self.rng[k]) for k in which]
-        new.actions, new.running, new.window = self.actions[list(which)], self.running[list(which)], None
-        new.episode = self.episode[list(which)]
+        new.window = None
         return new
+
+    def set_tube(self, k: int, context: Context, scene: Scene) -> None:
+        """Set what is observed of the tube and the probe of episode ``k``."""
+        self.context[k] = context
+        for name, values in self.constants.items():
+            values[k] = getattr(scene.probe if name in RANGES else context, name)
 
     def reset(
         self,
@@ -186,111 +195,74 @@ class Episodes:
             for k in which:
                 prepared[k] = self.sampler.draw(rngs[k], (options or {}).get(k) or {}, k + episodes[k] * len(self))
                 try:
-                    check_start(prepared[k][1], self.fidelity, self.config)
+                    self.backend.check(*prepared[k])
                 except ValueError as error:
                     raise ValueError(f"environment {k}: {error}" if len(self) > 1 else str(error)) from error
+        begun = np.zeros(len(self), dtype=bool)
+        begun[list(which)] = True
         for k, (context, scene) in prepared.items():
-            self.rng[k], self.episode[k], self.context[k] = rngs[k], episodes[k], context
-            seed = int(rngs[k].integers(2**31))
-            simulator = Simulator(scene, *self.fidelity.numerics, seed=seed, **self._options())
-            self.batch.replace(k, simulator)
-            self.scorer.begin(k, simulator.inserted_length, scene.tube.helix_length)
-            self.meter.reset(k)
-            self.actions[k] = self.start_action
-            simulator.hold_length()  # settling does not count as inspection
-        self._set_friction(which)
-        active = np.zeros(len(self), dtype=bool)
-        active[list(which)] = True
-        settled = self.batch.advance(None, None, self.config.settle_time, SAMPLE_PERIOD, active, keep_samples=True)
-        window = self._with_noise(settled, active)
-        infos = {}
+            self.rng[k], self.episode[k], self.actions[k] = rngs[k], episodes[k], self.start_action
+            self.set_tube(k, context, scene)
+            self.backend.begin(k, context, scene, rngs[k])
+        start, window = self.inserted_length, self.backend.settle(begun, self.rng)
         for k in which:
-            self.batch.simulators[k].feed_length()
-            self.scorer.metrics[k].last_radial = window.radial_of(k)[-2:].copy()
+            self.scorer.begin(k, float(start[k]), float(self.helix_length[k]), window)
             self.running[k] = True  # if it diverged while settling, it ends in its first step
-        self.sensors.begin(self._measured(window), active, normal_draws(self.rng, active, 2))
-        for k in which:
-            infos[k] = self._info(k, window) | {
-                "context": self.context[k].model_dump(),
-                "probe": self.batch.simulators[k].scene.probe.model_dump(),
-                "diverged": bool(window.diverged[k]),
-            }
-        return self.observation.copy(), infos
+        self.sensors.begin(self._measured(window), begun, normal_draws(self.rng, begun, 2))
+        infos = _rows(self._info(window) | {"diverged": window.diverged})
+        return self.observation.copy(), {
+            k: infos[k] | {"context": context.model_dump(), "probe": scene.probe.model_dump()}
+            for k, (context, scene) in prepared.items()
+        }
 
     def step(self, actions: npt.ArrayLike, active: BoolArray | None = None) -> Step:
-        """One control period of the active probes (default: all).
+        """One control period of the active probes (default: all) towards the targets of actions (N, 2).
 
         Raises:
             ValueError: an action is not valid; nothing has been advanced.
             RuntimeError: an active episode has ended and was not reset.
         """
         stepped = np.ones(len(self), dtype=bool) if active is None else np.asarray(active, dtype=bool)
-        requested = as_actions(actions, (len(self), 2)).astype(np.float32)
-        # probes that are not stepped keep their last action
-        requested = np.where(stepped[:, None], requested, self.actions).astype(np.float32)
-        targets = self.config.targets(requested, self.allow_standstill) * self.direction[:, None]
-        check_running(self.running, stepped)
-        record = self._simulate(stepped, requested, targets)
-        scored = self.scorer.score(record)
-        noise = normal_draws(self.rng, record.good, 2)
-        self.sensors.update(self._measured(record.window), record.good, noise, self.rng)
-        self.running &= ~(scored.terminated | scored.truncated)
-        infos = [self._step_info(k, record, scored, targets) if stepped[k] else {} for k in range(len(self))]
-        return Step(self.observation.copy(), scored.reward, scored.terminated, scored.truncated, infos)
+        return self.advance(self.config.checked(actions, (len(self), 2), stepped, self.allow_standstill), stepped)
 
-    def _simulate(self, stepped: BoolArray, actions: npt.NDArray[np.float32], targets: FloatArray) -> StepRecord:
-        """Advance some probes by a control period towards targets (N, 2) [m/s], [m3/s]."""
-        change = np.where(stepped[:, None], actions.astype(float) - self.actions, 0.0)
-        self.actions = actions
-        before, air_before = self.inserted_length, np.array([s.air_supply_rate for s in self.batch.simulators])
-        self._set_friction(np.flatnonzero(stepped).tolist())
-        lapse = self.time_lapse(targets)
-        for k in np.flatnonzero(stepped):
-            simulator = self.batch.simulators[k]
-            if lapse[k] > 1.0:
-                simulator.feed_length()  # the length grows by time-lapse times what is fed
-            else:
-                simulator.follow_length()  # by what is fed
-        seconds, parts = self.config.period / lapse, []
-        for duration in np.unique(seconds[stepped]) if stepped.any() else seconds[:1]:
-            part = stepped & (seconds == duration)
-            feed, air = targets.T
-            window = self.batch.advance(feed, air, float(duration), SAMPLE_PERIOD, part, keep_samples=True)
-            parts.append((part, self._with_noise(window, part)))
-        self.window = window = joined(parts)
-        good = stepped & ~window.diverged
-        return StepRecord(
-            stepped=stepped,
-            good=good,
-            before=before,
-            after=self.inserted_length,
-            helix_length=self.helix_length,
-            air=np.where(good, air_used(self.config, air_before, window.air_supply_rate), 0.0),
-            seconds=seconds,
-            action_change=change,
-            buckling_load=np.array([buckling_load(s.scene.probe) for s in self.batch.simulators]),
-            window=window,
-            signals={k: self.meter.last(k) for k in np.flatnonzero(good).tolist()},
-        )
-
-    def _with_noise(self, window: Window, which: BoolArray) -> Window:
-        """The window of probes ``which`` (N,), with "noise_to_signal" among its statistics."""
-        assert window.radial is not None
-        noise, good = np.zeros(len(self)), np.flatnonzero(which & ~window.diverged)
-        if len(good):
-            noise[good] = 1.0 / self.meter.update(good, window.radial[:, good], window.feed_speed[good]).snr
-        return replace(window, statistics=window.statistics | {"noise_to_signal": noise})
+    def advance(self, actions: npt.NDArray[np.float32], stepped: BoolArray) -> Step:
+        """``step`` with valid actions."""
+        if (stepped & ~self.running).any():
+            raise RuntimeError(
+                f"episode {np.flatnonzero(stepped & ~self.running)[0]} has ended: call reset before step"
+            )
+        actions = np.where(stepped[:, None], actions, self.actions)  # the others keep their last action
+        targets = self.config.scaled(actions) * self.direction[:, None]
+        change, self.actions = actions.astype(float) - self.actions, actions
+        record = self.backend.advance(stepped, targets, self.direction, self.rng)
+        self.window = window = record.window
+        scored = self.scorer.score(record, change)
+        self.sensors.update(self._measured(window), record.finite, normal_draws(self.rng, record.finite, 2), self.rng)
+        terminated, truncated = scored.terminated, scored.truncated
+        self.running &= ~(terminated | truncated)
+        info = self._info(window) | {
+            "cost": np.sum(list(scored.costs.values()), axis=0),
+            "target_feed_speed": targets[:, 0],
+            "target_air_supply_rate": targets[:, 1],
+            **{name: scored.endings[name] for name in FAILURES},
+        }
+        infos = _rows(info)
+        for k, (rewards, costs) in enumerate(zip(_rows(scored.rewards), _rows(scored.costs), strict=True)):
+            infos[k]["reward_terms"], infos[k]["cost_terms"] = rewards, costs
+            if not stepped[k]:
+                infos[k] = {}
+            elif not self.running[k]:
+                infos[k]["episode_kpis"] = self.scorer.kpis(k, scored)
+        return Step(self.observation.copy(), scored.reward, terminated, truncated, infos)
 
     def _measured(self, window: Window) -> dict[str, FloatArray]:
         """Sensor values before noise, (N,) each in SI units, see ``observe``."""
-        inserted, statistics = self.inserted_length, dict(window.statistics)
+        inserted, statistics = self.inserted_length, window.statistics
         if self.config.vibration_measure == "snr":  # then it is the noise in the band of the flaw
-            statistics["radial_rms_m"] = self.config.sensor.equivalent_rms(statistics["noise_to_signal"])
-        probes = [s.scene.probe for s in self.batch.simulators]
+            statistics = statistics | {"radial_rms_m": self.config.sensor.equivalent_rms(statistics["noise_to_signal"])}
         return {
             **statistics,
-            **{name: np.array([getattr(c, name) for c in self.context]) for name in Context.model_fields},
-            **{name: np.array([getattr(probe, name) for probe in probes]) for name in RANGES},
+            **self.constants,
             "inserted_length": inserted,
             "remaining_length": self.helix_length - inserted,
             "feed_speed": window.feed_speed,
@@ -300,55 +272,35 @@ class Episodes:
             "way": self.direction,
         }
 
-    def _info(self, k: int, window: Window) -> dict[str, Any]:
-        """Physical values of one probe for ``info``, SI units."""
-        metrics, noise = self.scorer.metrics[k], float(window.statistics["noise_to_signal"][k])
-        return {
-            "time": metrics.time,
-            "inspected_length": metrics.inspected,
-            **({"way": float(self.direction[k])} if self.config.returns else {}),
-            "inserted_length": float(self.batch.simulators[k].length_in_helix),
-            "feed_speed": float(window.feed_speed[k]),
-            "air_supply_rate": float(window.air_supply_rate[k]),
-            **{name: float(window.statistics[name][k]) for name in IN_INFO},
-            "snr": 1.0 / noise if noise > 0.0 else 0.0,
-            "noise_rms_m": float(self.config.sensor.equivalent_rms(np.array(noise))),
+    def _info(self, window: Window) -> dict[str, npt.NDArray[Any]]:
+        """Physical values (N,) for ``info``, SI units."""
+        info: dict[str, npt.NDArray[Any]] = {
+            "time": self.scorer.totals["time"],
+            "inspected_length": self.scorer.totals["inspected"],
+            **({"way": self.direction} if self.config.returns else {}),
+            "inserted_length": self.inserted_length,
+            "feed_speed": window.feed_speed,
+            "air_supply_rate": window.air_supply_rate,
+            **{name: window.statistics[name] for name in IN_INFO if name in window.statistics},
         }
-
-    def _step_info(self, k: int, record: StepRecord, scored: Score, targets: FloatArray) -> dict[str, Any]:
-        costs = {name: float(values[k]) for name, values in scored.costs.items()}
-        info = self._info(k, record.window) | {
-            "reward_terms": {name: float(values[k]) for name, values in scored.rewards.items()},
-            "cost": sum(costs.values()),
-            "cost_terms": costs,
-            "target_feed_speed": float(targets[k, 0]),
-            "target_air_supply_rate": float(targets[k, 1]),
-            **{name: bool(scored.endings[name][k]) for name in FAILURES},
-        }
-        if not self.running[k]:
-            info["episode_kpis"] = self.scorer.kpis(k, float(record.helix_length[k]), scored)
+        if "noise_to_signal" in window.statistics:
+            noise = window.statistics["noise_to_signal"]
+            info["snr"] = np.divide(1.0, noise, out=np.zeros_like(noise), where=noise > 0.0)
+            info["noise_rms_m"] = self.config.sensor.equivalent_rms(noise)
         return info
 
-    def _set_friction(self, which: Sequence[int]) -> None:
-        """Set the mean friction over the inserted length, if friction drifts along the tube."""
-        if self.config.friction_drift == 0.0:
-            return
-        share = self.inserted_length / self.helix_length
-        for k in which:
-            mean = self.context[k].friction * (1.0 + self.config.friction_drift * (float(share[k]) - 1.0))
-            self.batch.simulators[k].set_friction(min(mean, 1.0))
 
-    def _options(self) -> dict[str, Any]:
-        return {
-            "growing": self.config.growing,
-            "time_lapse": self.fidelity.time_lapse if self.config.growing else 1.0,
-            "ramp": self.config.ramp,
-            "air_lag": self.config.air_lag,
-            "perturbation": START_PERTURBATION,
-        }
+def map_of(vibration: VibrationMap | str | Path | None, scene: Scene) -> VibrationMap:
+    """A map, or that of a file, for the tubes and probe of a scene; None: the shipped one."""
+    return (
+        load_for(Path(vibration), "the scene", scene)
+        if isinstance(vibration, str | Path)
+        else vibration or stored_map()
+    )
 
 
-def check_running(running: BoolArray, stepped: BoolArray) -> None:
-    """Raise RuntimeError if an episode (N,) to be stepped has ended."""
-    if (stepped & ~running).any():
-        raise RuntimeError(f"episode {np.flatnonzero(stepped & ~running)[0]} has ended: call reset before step")
+def _rows(columns: Mapping[str, npt.NDArray[Any]]) -> list[dict[str, Any]]:
+    """Columns (N,) by name as one dictionary per probe."""
+    names = tuple(columns)
+    rows = zip(*[column.tolist() for column in columns.values()], strict=True)
+    return [dict(zip(names, row, strict=False)) for row in rows]  # strict=True takes 10 % of a step

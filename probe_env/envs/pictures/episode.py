@@ -166,7 +166,7 @@ class Renderer:
 
     def picture(self) -> Picture:
         """(h, w, 3) RGB picture; needs no display."""
-        simulator = self.episodes.batch.simulators[self.index]
+        simulator = self.episodes.simulated().simulators[self.index]
         plate, helix, traces = self._artists = self._artists or self._draw()
         helix.update(simulator)
         changed = traces.update(self._last_window, self.index, np.array(self.history))
@@ -197,7 +197,7 @@ class Renderer:
 
     def _draw(self) -> tuple[Plate, Helix, Traces]:
         """Create the figure of an episode."""
-        simulator, config = self.episodes.batch.simulators[self.index], self.episodes.config
+        simulator, config = self.episodes.simulated().simulators[self.index], self.episodes.config
         figure = Figure(figsize=SIZE, dpi=DPI)
         halves: Any = figure.subfigures(1, 2, width_ratios=(1.0, 1.05))
         helix = Helix(halves[0], simulator)

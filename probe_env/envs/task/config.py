@@ -11,8 +11,8 @@ import numpy.typing as npt
 from pydantic import BeforeValidator, Field, ValidationInfo, model_validator
 from pydantic_core import PydanticCustomError
 
-from probe_env.arrays import FloatArray
-from probe_env.envs.task.scales import OBSERVATIONS, PRIVILEGED, PROBE, ROUND_TRIP, action_of, share_between
+from probe_env.arrays import BoolArray, FloatArray
+from probe_env.envs.task.scales import OBSERVATIONS, PRIVILEGED, PROBE, ROUND_TRIP, action_of, as_actions, share_between
 from probe_env.inspection.instrument import Instrument
 from probe_env.inspection.sensor import Sensor
 from probe_env.scene import Scene
@@ -304,30 +304,46 @@ class TaskConfig(Observation, Disturbances, Limits, Reward, Actuators, Timing, R
         """
         return np.float32(action_of(share_between(0.0, self.feed_speeds)))
 
-    def targets(self, actions: npt.ArrayLike, allow_standstill: bool = False) -> FloatArray:
-        """(N, 2) target feed speed [m/s] and air supply [m3/s] of actions (N, 2) in [-1, 1].
+    def checked(
+        self,
+        actions: npt.ArrayLike,
+        shape: tuple[int, ...],
+        active: BoolArray | None = None,
+        allow_standstill: bool = False,
+    ) -> npt.NDArray[np.float32]:
+        """Actions of a shape (..., 2) in [-1, 1]; those of probes that are not ``active`` (N,) are 0.
 
-        ``allow_standstill``: the feed action may also be ``standstill``, feed speed 0.
+        ``allow_standstill``: the feed action may also be ``standstill``.
 
         Raises:
-            ValueError: an action of the wrong shape, not finite or out of range.
+            ValueError: not numbers, of another shape, not finite or out of range.
         """
-        values = np.asarray(actions, dtype=float)
-        if values.ndim != 2 or values.shape[1] != 2:
-            raise ValueError(f"action has shape {values.shape[1:]}; the accepted shape is (2,): feed speed, air supply")
-        bad = ~(np.abs(values) <= 1.0 + 1e-6)
-        at_standstill = bad[:, 0] & (values[:, 0] == self.standstill) & allow_standstill
-        bad[at_standstill, 0] = False
+        values = as_actions(actions, shape).astype(np.float32)
+        if active is not None and not active.all():
+            values = np.where(active[:, None], values, np.float32(0.0))
+        bad = ~(np.abs(values.astype(float)) <= 1.0 + 1e-6)
+        if allow_standstill:
+            bad[..., 0] &= values[..., 0] != self.standstill
         if bad.any():
-            row, column = np.argwhere(bad)[0]
-            raise ValueError(f"action[{column}] = {float(values[row, column])!r} is outside the accepted range -1 to 1")
+            place = tuple(np.argwhere(bad)[0])
+            raise ValueError(f"action[{place[-1]}] = {float(values[place])!r} is outside the accepted range -1 to 1")
+        return values
+
+    def targets(self, actions: npt.ArrayLike, allow_standstill: bool = False) -> FloatArray:
+        """(N, 2) target feed speed [m/s] and air supply [m3/s] of actions (N, 2); raises as ``checked``."""
+        self.checked(actions, (len(np.atleast_1d(np.asarray(actions))), 2), None, allow_standstill)
+        return self.scaled(np.asarray(actions))
+
+    def scaled(self, actions: npt.NDArray[np.floating]) -> FloatArray:
+        """``targets`` of valid actions."""
+        values = actions.astype(float)
         low, high = np.array([self.feed_speeds, self.air_supply_rates]).T
-        requested: FloatArray = low + 0.5 * (np.clip(values, -1.0, 1.0) + 1.0) * (high - low)
+        targets: FloatArray = low + 0.5 * (np.clip(values, -1.0, 1.0) + 1.0) * (high - low)
         for column, step in enumerate((self.feed_speed_step, self.air_supply_step)):
             if step > 0.0:
-                requested[:, column] = np.clip(step * np.round(requested[:, column] / step), low[column], high[column])
-        requested[at_standstill, 0] = 0.0
-        return requested
+                targets[:, column] = np.clip(step * np.round(targets[:, column] / step), low[column], high[column])
+        targets[(values[:, 0] < -1.0 - 1e-6) & (values[:, 0] == self.standstill), 0] = 0.0
+        return targets
 
     def feasible(self, feed_speed: FloatArray | float, air_supply_rate: FloatArray | float) -> FloatArray:
         """(N, 2) feasible feed speed [m/s] and air supply [m3/s] nearest to the arguments: clipped and rounded."""

@@ -91,12 +91,6 @@ class SensorModel:
         self.config = config
         self.observed = np.zeros((count, config.delay_periods + 1, len(config.observations)), dtype=np.float32)
 
-    def fork(self, which: Sequence[int]) -> SensorModel:
-        """Sensor model of copies of some probes, with their last observations."""
-        new = SensorModel(self.config, 0)
-        new.observed = self.observed[list(which)]
-        return new
-
     @property
     def observation(self) -> npt.NDArray[np.float32]:
         """(N, d) current observation."""

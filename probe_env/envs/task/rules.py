@@ -6,9 +6,10 @@ the reward nor the simulation.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import reduce
 from operator import or_
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, TypedDict, Unpack
 
 import numpy as np
 import numpy.typing as npt
@@ -18,10 +19,27 @@ from probe_env.envs.task.config import TaskConfig
 
 END_TOLERANCE: Final = 1e-6
 """Distance from the end of the helix at which an insertion is complete [m]; actions are float32."""
+
+
+class Situation(NamedTuple):
+    """What decides about the end of an episode, (N,) each; SI units."""
+
+    inserted: FloatArray
+    helix_length: FloatArray
+    slack_periods: npt.NDArray[np.integer[Any]]
+    """Number of consecutive slack periods."""
+    stepped: BoolArray
+    diverged: BoolArray
+
+
+ENDINGS: Final[dict[str, Callable[[TaskConfig, Situation], BoolArray]]] = {
+    "complete": lambda config, now: ~now.diverged & (now.inserted >= now.helix_length - END_TOLERANCE) & config.growing,
+    "lost_drive": lambda config, now: ~now.diverged & (now.slack_periods >= config.lost_drive_periods),
+    "diverged": lambda config, now: now.diverged,
+}
+"""Endings that terminate an episode, the first that applies. Each is a KPI, 0 or 1; with none of them time ran out."""
 FAILURES: Final = ("lost_drive", "diverged")
 """Endings by failure."""
-ENDINGS: Final = ("complete", *FAILURES)
-"""Endings that terminate an episode. Each is a KPI, 0 or 1; an episode with none of them ran out of time."""
 
 
 class Score(NamedTuple):
@@ -51,24 +69,13 @@ class Score(NamedTuple):
         return {name: float(self.endings[name][k]) for name in (*FAILURES, "complete")}
 
 
-def ending(
-    config: TaskConfig,
-    inserted: FloatArray,
-    helix_length: FloatArray,
-    slack_steps: npt.NDArray[np.integer[Any]],
-    time: FloatArray,
-    stepped: BoolArray,
-    diverged: BoolArray,
-) -> dict[str, BoolArray]:
-    """Whether each of N episodes ends in this period, by ``ENDINGS`` and "out_of_time"; only stepped episodes end.
-
-    Lengths are in m, times in s; ``slack_steps`` (N,) counts the consecutive slack periods.
-    """
-    good = stepped & ~diverged
-    complete = good & (inserted >= helix_length - END_TOLERANCE) & config.growing
-    lost = (slack_steps >= config.lost_drive_periods) & good & ~complete
-    late = stepped & (np.rint(time / config.period) >= config.most_periods)
-    return {"complete": complete, "lost_drive": lost, "diverged": diverged & stepped, "out_of_time": late}
+def ending(config: TaskConfig, now: Situation, time: FloatArray) -> dict[str, BoolArray]:
+    """(N,) whether stepped episodes end, by ``ENDINGS`` and "out_of_time" at times (N,) [s]."""
+    ends, left = {}, now.stepped
+    for name, applies in ENDINGS.items():
+        ends[name] = applies(config, now) & left
+        left = left & ~ends[name]
+    return ends | {"out_of_time": now.stepped & (np.rint(time / config.period) >= config.most_periods)}
 
 
 def any_ending(endings: dict[str, BoolArray]) -> BoolArray:
@@ -96,16 +103,16 @@ def air_used(config: TaskConfig, before: FloatArray, after: FloatArray) -> Float
     return 0.5 * (np.abs(before) + np.abs(after)) * config.period
 
 
-COSTS: Final = {
-    "lost_drive": "the mean root tension is below the required tension, from lost_drive_from on",
-    "tension": "the peak root tension is above tension_limit",
-    "buckling": "the mean compression at the root is above the buckling load between two floats",
+COSTS: Final[dict[str, Callable[[TaskConfig, BoolArray, FloatArray, FloatArray, FloatArray], BoolArray]]] = {
+    "lost_drive": lambda config, is_slack, tension, max_tension, buckling_load: is_slack,
+    "tension": lambda config, is_slack, tension, max_tension, buckling_load: max_tension > config.tension_limit,
+    "buckling": lambda config, is_slack, tension, max_tension, buckling_load: -tension > buckling_load,
 }
-"""Cost terms by name, and when each is 1."""
+"""Cost terms: whether each is 1, by the arguments of ``cost_terms``."""
 
 
 def cost_terms(
-    config: TaskConfig, is_slack: BoolArray, tension: FloatArray, greatest: FloatArray, buckling_load: FloatArray
+    config: TaskConfig, is_slack: BoolArray, tension: FloatArray, max_tension: FloatArray, buckling_load: FloatArray
 ) -> dict[str, FloatArray]:
     """Cost terms (N,) of a period by name, 0 or 1 each; their sum is the cost.
 
@@ -116,11 +123,11 @@ def cost_terms(
         config: the limits.
         is_slack: (N,) whether the root tension is too low to drive the probe.
         tension: (N,) mean root tension [N], negative under compression.
-        greatest: (N,) greatest root tension [N].
+        max_tension: (N,) maximum root tension [N].
         buckling_load: (N,) of the cable between two floats [N].
     """
-    unsafe = is_slack, greatest > config.tension_limit, -tension > buckling_load
-    return {name: np.asarray(is_so, dtype=float) for name, is_so in zip(COSTS, unsafe, strict=True)}
+    arguments = config, is_slack, tension, max_tension, buckling_load
+    return {name: np.asarray(exceeded(*arguments), dtype=float) for name, exceeded in COSTS.items()}
 
 
 def capped_square(config: TaskConfig, ratio: FloatArray) -> FloatArray:
@@ -150,38 +157,50 @@ def uninspected_weight(config: TaskConfig) -> float:
     return config.progress_weight + float(metre_cost(config, config.ratio_cap**2, slowest, most_air)) + jerk
 
 
-def reward_terms(
-    config: TaskConfig,
-    inspected: FloatArray | float,
-    squares: FloatArray | float,
-    seconds: FloatArray | float,
-    air: FloatArray | float,
-    uninspected: FloatArray | float = 0.0,
-    diverged: BoolArray | float = 0.0,
-    *,
-    action_change: FloatArray | None = None,
-) -> dict[str, FloatArray]:
-    """Reward terms (N,) of a period or a whole insertion by name; the reward is their sum.
+class Quantities(TypedDict, total=False):
+    """What the reward is computed from, (N,) each, of a period or of a whole insertion; SI units."""
 
-    Args:
-        config: the weights.
-        inspected: [m].
-        squares: ``capped_square`` of the vibration, integrated over the inspected length [m].
-        seconds: [s].
-        air: used [m3].
-        uninspected: remaining length [m] if the episode ends, else 0.
-        diverged: whether the simulation diverged.
-        action_change: (N, 2) change of the action; None: no term "jerk".
-    """
-    terms = {
-        "progress": np.asarray(config.progress_weight * inspected),
-        "vibration": -np.asarray(config.vibration_weight * squares),
-        "time": -np.asarray(config.time_weight * seconds),
-        "air": -np.asarray(config.air_weight * air),
-    }
-    if action_change is not None:
-        terms["jerk"] = -config.jerk_weight * (action_change**2).sum(axis=1)
-    return terms | {
-        "uninspected": np.asarray(-uninspected_weight(config) * uninspected),
-        "diverged": np.asarray(-config.diverged_weight * diverged),
-    }
+    inspected: FloatArray | float
+    """[m]."""
+    squares: FloatArray | float
+    """``capped_square`` of the vibration, integrated over the inspected length [m]."""
+    seconds: FloatArray | float
+    """[s]."""
+    air: FloatArray | float
+    """Used [m3]."""
+    action_change: FloatArray
+    """(N, 2) change of the action."""
+    uninspected: FloatArray | float
+    """Remaining length [m] if the episode ends, else 0."""
+    diverged: BoolArray | float
+    """Whether the simulation diverged."""
+    shaped: FloatArray | float
+    """Inserted length, and at the end all that remains [m]."""
+
+
+def _cost(values: FloatArray) -> FloatArray:
+    return -values
+
+
+TERMS: Final[dict[str, tuple[str | Callable[[TaskConfig], float], str, Callable[[FloatArray], FloatArray]]]] = {
+    "progress": ("progress_weight", "inspected", np.positive),
+    "vibration": ("vibration_weight", "squares", _cost),
+    "time": ("time_weight", "seconds", _cost),
+    "air": ("air_weight", "air", _cost),
+    "jerk": ("jerk_weight", "action_change", lambda change: -(change**2).sum(axis=1)),
+    "uninspected": (uninspected_weight, "uninspected", _cost),
+    "diverged": ("diverged_weight", "diverged", _cost),
+    "shaping": ("shaping_weight", "shaped", np.positive),
+}
+"""Reward terms: a weight (field of the task, or function of it) times a function of one of ``Quantities``."""
+
+
+def reward_terms(config: TaskConfig, **quantities: Unpack[Quantities]) -> dict[str, FloatArray]:
+    """Reward terms (N,) by name, those of ``TERMS`` whose quantity is an argument; the reward is their sum."""
+    terms = {}
+    for name, (weight, quantity, value) in TERMS.items():
+        if quantity in quantities:
+            factor = getattr(config, weight) if isinstance(weight, str) else weight(config)
+            values: FloatArray = np.asarray(quantities[quantity], dtype=np.float64)  # type: ignore[literal-required]
+            terms[name] = factor * value(values)
+    return terms

@@ -9,7 +9,7 @@ import probe_env  # noqa: F401
 from probe_agents.policies.bundle import from_sb3, load_bundle, save_bundle
 from probe_agents.vec_env import ProbeVecEnv
 from probe_env import TaskConfig
-from probe_env.envs.episodes.decisions import AVERAGED
+from probe_env.envs.episodes.actions import AVERAGED
 
 TUBE = {"friction": 0.2, "helix_diameter": 1.5}
 

@@ -215,7 +215,7 @@ def test_extreme_contexts_are_refused_or_finite(env_id, periods):
         range(count), {k: np.random.default_rng(k) for k in range(count)}, dict(enumerate(accepted))
     )
     for _ in range(periods):
-        compressed = [s.state.axial_force[: s.root].min() < 0.0 for s in episodes.batch.simulators]
+        compressed = [s.state.axial_force[: s.root].min() < 0.0 for s in episodes.simulated().simulators]
         active = episodes.running.copy()
         step = episodes.step(rng.uniform(-1.0, 1.0, (count, 2)).astype(np.float32), active)
         observation = step.observation
@@ -225,4 +225,4 @@ def test_extreme_contexts_are_refused_or_finite(env_id, periods):
             info = step.infos[k]
             assert all(np.isfinite(value) for value in info.values() if isinstance(value, float))
             assert not info["diverged"] or (step.terminated[k] and compressed[k])
-            assert info["diverged"] == episodes.batch.simulators[k].diverged
+            assert info["diverged"] == episodes.simulated().simulators[k].diverged

@@ -72,17 +72,17 @@ def test_recording_changes_nothing_and_equals_the_environment(env_id, fidelity):
         each.reset(seed=5)
     episodes = env.episodes
     period = episodes.config.period / episodes.fidelity.time_lapse
-    watch = Watch(episodes.batch.simulators[0], 2.0, NOTHING, NOTHING)
+    watch = Watch(episodes.simulated().simulators[0], 2.0, NOTHING, NOTHING)
     for k in range(4):
         action = np.array([0.5, -0.1 * k], dtype=np.float32)
         targets = episodes.config.targets(action[None])[0]
-        ahead = watch.follow(episodes.batch.simulators[0], *targets, period)
+        ahead = watch.follow(episodes.simulated().simulators[0], *targets, period)
         one, two = env.step(action), other.step(action)
         assert (one[0] == two[0]).all()
         assert one[1:] == two[1:]
-        for here, there in zip(ahead.state, episodes.batch.simulators[0].state, strict=True):
+        for here, there in zip(ahead.state, episodes.simulated().simulators[0].state, strict=True):
             assert (here == there).all()
-        assert ahead.inserted_length == episodes.batch.simulators[0].inserted_length
+        assert ahead.inserted_length == episodes.simulated().simulators[0].inserted_length
     motion = watch.motion()
     assert len(motion.time) == int(4 * period / FRAME_PERIOD + 1e-9) + 1
     window = episodes.window

@@ -9,6 +9,7 @@ from probe_env.envs.episodes import Episodes
 from probe_env.envs.task import (
     COSTS,
     Score,
+    Situation,
     TaskConfig,
     action_in,
     action_of,
@@ -41,7 +42,8 @@ def random_metres():
 def test_the_reward_of_a_metre_is_the_sum_of_its_terms():
     ratio, feed, air = random_metres()
     squares = capped_square(CONFIG, ratio)
-    charged = sum(reward_terms(CONFIG, np.ones(N), squares, 1.0 / feed, air / feed).values())
+    terms = reward_terms(CONFIG, inspected=np.ones(N), squares=squares, seconds=1.0 / feed, air=air / feed)
+    charged = sum(terms.values())
     assert metre_reward(CONFIG, metre_cost(CONFIG, squares, feed, air)) == pytest.approx(charged, rel=1e-13)
 
 
@@ -165,7 +167,7 @@ def test_only_the_time_limit_alone_truncates():
     inserted, slack_steps = np.array([30.0, 30.0, 60.0, 30.0, 30.0, 30.0]), np.array([2, 2, 0, 3, 0, 0])
     time, stepped = np.array([9.0, 10.0, 10.0, 10.0, 10.0, 10.0]), np.array([True] * 5 + [False])
     diverged = np.array([False] * 4 + [True, False])
-    ends = ending(config, inserted, length, slack_steps, time, stepped, diverged)
+    ends = ending(config, Situation(inserted, length, slack_steps, stepped, diverged), time)
     score = Score({}, {}, ends, np.zeros(6))
     assert score.truncated.tolist() == [False, True, False, False, False, False]
     assert score.terminated.tolist() == [False, False, True, True, True, False]

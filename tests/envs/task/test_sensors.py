@@ -105,9 +105,9 @@ def test_friction_drifts_along_the_tube(fidelity):
     """Friction is the mean over the inserted length: less near the entrance, the context's at the end."""
     env = gym.make("probe_env/Insertion-v1", fidelity=fidelity, config={"friction_drift": 0.3}).unwrapped
     env.reset(seed=1, options={"friction": 0.2})
-    before = env.episodes.batch.simulators[0].inserted_length
+    before = env.episodes.simulated().simulators[0].inserted_length
     env.step(np.ones(2, dtype=np.float32))
-    assert env.episodes.batch.simulators[0].chain.friction == pytest.approx(0.2 * (0.7 + 0.3 * before / 60.0))
+    assert env.episodes.simulated().simulators[0].chain.friction == pytest.approx(0.2 * (0.7 + 0.3 * before / 60.0))
     tensions = []
     for drift in (0.3, 0.0, -0.3):
         env = gym.make("probe_env/Insertion-v1", fidelity=fidelity, config={"friction_drift": drift}).unwrapped

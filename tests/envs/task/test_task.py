@@ -167,8 +167,8 @@ def test_time_lapse_has_two_clocks():
         assert step.infos[0]["time"] == 4.0
         assert step.infos[0]["inserted_length"] == pytest.approx(5.8, abs=1e-6)
     settle = round(config.settle_time / 2e-4)
-    assert fast.batch.simulators[0].steps_done == settle + 5000
-    assert true.batch.simulators[0].steps_done == settle + 20000
+    assert fast.simulated().simulators[0].steps_done == settle + 5000
+    assert true.simulated().simulators[0].steps_done == settle + 20000
 
 
 def test_the_vibration_measure_can_be_chosen():

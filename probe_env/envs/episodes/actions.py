@@ -8,9 +8,9 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from probe_env.arrays import BoolArray, FloatArray
+from probe_env.arrays import BoolArray
 from probe_env.envs.episodes.episodes import Episodes, Step
-from probe_env.envs.task import TaskConfig, as_actions
+from probe_env.envs.task import TaskConfig, rules
 
 AVERAGED: Final = ("radial_acceleration", "axial_acceleration", "rf_noise", "root_tension")
 """Observations that are averaged over the control periods of an action."""
@@ -32,8 +32,12 @@ def changed_targets(
     return np.clip(targets + 2.0 * config.change_per_action * actions, -1.0, 1.0).astype(np.float32)
 
 
-def decide(episodes: Episodes, actions: npt.ArrayLike, active: BoolArray | None = None) -> Step:
-    """Apply an action of the environment to the active probes (default: all), for ``periods_per_action`` periods.
+def step_action(
+    episodes: Episodes, actions: npt.ArrayLike, shape: tuple[int, ...], active: BoolArray | None = None
+) -> Step:
+    """Apply actions of the environment, of a shape (N, 2) or (2,), for ``periods_per_action`` control periods.
+
+    Probes that are not active (N,) keep their state; default: all are active.
 
     Rewards and costs are summed and ``AVERAGED`` observations averaged over the periods; an episode that ends takes no
     further periods.
@@ -42,19 +46,18 @@ def decide(episodes: Episodes, actions: npt.ArrayLike, active: BoolArray | None 
         ValueError: an action is not valid; nothing has been advanced.
         RuntimeError: an active episode has ended and was not reset.
     """
-    config = episodes.config
+    config, count = episodes.config, len(episodes)
+    active = running = np.ones(count, dtype=bool) if active is None else np.array(active, dtype=bool)
+    allow_standstill = episodes.allow_standstill and not config.custom_actions
+    checked = config.checked(actions, shape, active, allow_standstill).reshape(count, 2)
     if not config.custom_actions and config.shaping_weight == 0.0:
-        return episodes.step(actions, active)
-    count = len(episodes)
-    running = np.ones(count, dtype=bool) if active is None else np.array(active, dtype=bool)
-    requested = np.where(running[:, None], as_actions(actions, (count, 2)), 0.0).astype(np.float32)
-    config.targets(requested)
-    requested = changed_targets(config, episodes.actions, requested)
-    total, before, active = None, episodes.inserted_length, running
+        return episodes.advance(checked, active)
+    targets = changed_targets(config, episodes.actions, checked)
+    total, before = None, episodes.inserted_length
     columns = averaged_columns(config)
     sums, periods = np.zeros((count, len(columns))), np.zeros((count, 1))
     for _ in range(config.periods_per_action):
-        step = episodes.step(requested, running)
+        step = episodes.advance(targets, running)
         sums += np.where(running[:, None], step.observation[:, columns], 0.0)
         periods += running[:, None]
         total = step if total is None else _merged(total, step)
@@ -65,7 +68,11 @@ def decide(episodes: Episodes, actions: npt.ArrayLike, active: BoolArray | None 
     if config.shaping_weight > 0.0:
         ended = total.terminated | total.truncated
         metres = np.where(ended, episodes.helix_length, episodes.inserted_length) - before
-        total = _shaped(total, np.where(active, config.shaping_weight * metres, 0.0))
+        shaping = np.where(active, rules.reward_terms(config, shaped=metres)["shaping"], 0.0)
+        for info, value in zip(total.infos, shaping.tolist(), strict=True):
+            if info:
+                info["reward_terms"]["shaping"] = value
+        total = total._replace(reward=total.reward + shaping)
     means = sums / np.maximum(periods, 1.0)
     total.observation[:, columns] = np.where(periods > 0.0, means, total.observation[:, columns])
     return total
@@ -81,14 +88,6 @@ def _merged(total: Step, step: Step) -> Step:
         total.truncated | step.truncated,
         infos,
     )
-
-
-def _shaped(step: Step, shaping: FloatArray) -> Step:
-    """The step with a term "shaping" (N,) of the reward."""
-    for info, value in zip(step.infos, shaping.tolist(), strict=True):
-        if info:
-            info["reward_terms"]["shaping"] = value
-    return step._replace(reward=step.reward + shaping)
 
 
 def _sum(old: Mapping[str, Any], new: Mapping[str, Any]) -> dict[str, Any]:
