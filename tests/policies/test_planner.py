@@ -145,7 +145,7 @@ def test_blur_and_other_tubes_change_the_copies_only() -> None:
     copies = episodes.branch([0, 0, 1])
     move_to(TUBES[1], copies, range(2))
     blur_states(copies, BLUR, [1])
-    moved = copies.batch.simulators
+    moved = copies.simulated().simulators
     assert copies.context == [TUBES[1]] * 3
     assert [s.scene.contact.friction for s in moved] == [0.24] * 3
     assert moved[0].scene.carrier_length == scene.carrier_length

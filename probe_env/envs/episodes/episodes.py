@@ -160,10 +160,12 @@ class Episodes:
         Raises:
             ValueError: ``which`` is empty or has an index out of range.
         """
-        backend = self.backend.branch(which)
-        new = rows_of(self, which)
-        new.backend, new.scorer, new.sensors = backend, self.scorer.branch(which), rows_of(self.sensors, which)
+        new, index = copy.copy(self), list(which)
+        new.backend = self.backend.branch(which)
+        new.scorer, new.sensors = self.scorer.branch(which), rows_of(self.sensors, which)
         new.context, new.rng = [self.context[k] for k in which], [copy.deepcopy(self.rng[k]) for k in which]
+        new.constants = {name: values[index] for name, values in self.constants.items()}
+        new.episode, new.actions, new.running = self.episode[index], self.actions[index], self.running[index]
         new.window = None
         return new
 
