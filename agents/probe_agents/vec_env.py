@@ -74,7 +74,7 @@ class ProbeVecEnv(VecEnv):
     @property
     def kernel_seconds(self) -> float:
         """Total time in the kernels, over all threads [s]."""
-        return self.episodes.kernel_seconds
+        return self.episodes.backend.kernel_seconds
 
     def reset(self) -> VecEnvObs:
         """Start all episodes, with the seeds of ``seed`` and the options of ``set_options`` if these were called."""

@@ -212,7 +212,7 @@ class Agent(ObservationPolicy):
         return applied, (memory, inner)
 
     def _hold(self, rows: Floats, state: Any, start: BoolArray, deterministic: bool) -> tuple[Floats, tuple[Any, ...]]:
-        """(N, 2) targets of this control period: an action is applied for some periods, see ``decide``."""
+        """(N, 2) targets of this control period: an action is applied for some periods, see ``step_action``."""
         names, columns = list(self.config.observations), averaged_columns(self.config)
         task, first = self.description.task, rows[:, [names.index(name) for name in PREVIOUS.values()]]
         periods, targets, sums, inner = state or (0, first, 0.0, None)

@@ -89,7 +89,8 @@ MEASURED: Final = Noise(
     axial_scatter=Scatter(0.26028889503501884, 0.9369185350655408),
 )
 """Measured on insertions with random feed and air in training tubes at ``fast``, the vibration on 21,120 seconds, the
-others on 12,303. ``docs/surrogate.py`` fits the vibration: these values are within 2 of its greatest log-likelihood."""
+others on 12,303. ``docs/surrogate.py`` at commit 5d808b5f fits the vibration: these values are within 2 of its
+maximum log-likelihood."""
 
 
 def features(vibration: FloatArray, feed: FloatArray, length: FloatArray, tubes: FloatArray) -> FloatArray:
