@@ -7,7 +7,14 @@ STAMP := $(VENV)/.complete
 # pip leaves compiling Python files to their first import, which must then be kept
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: setup demo test test-slow test-haswell test-bounds test-processors quick lint types kernels test-pythons test-ray test-libraries test-lowest test-zoo browser test-app docs clean
+help:
+	@echo "make demo    install, evaluate three policies and a schedule file, write output/demo/report.html"
+	@echo "make test    install, lint, types and tests"
+	@echo "make docs    build these pages as a site in output/docs"
+	@echo "make clean   remove environments, output and compiled kernels"
+	@echo "others, for developers: docs/commands.md"
+
+.PHONY: help setup demo test test-slow test-haswell test-bounds test-processors quick lint types kernels test-pythons test-ray test-libraries test-lowest test-zoo browser test-app docs clean
 
 setup: $(STAMP)
 

@@ -137,8 +137,41 @@ class Walls(Model):
     """Whether the cable between floats can touch the walls: needed for a weak cable or high compression."""
 
 
+PER_HOUR: Final = {"air_supply_rates_m3_per_h": "air_supply_rates", "air_supply_step_m3_per_h": "air_supply_step"}
+"""Fields of ``[air]`` in m3/h -> field of ``Supply`` in m3/s."""
+MAX_PER_HOUR: Final = 720.0
+
+
+def supply_in_si(fields: Mapping[str, Any]) -> dict[str, Any]:
+    """Fields of ``Supply``, with those of ``PER_HOUR`` in m3/s; raises if one is not valid or given in both units."""
+    known = {name: value for name, value in fields.items() if name not in PER_HOUR}
+    for name in fields.keys() & PER_HOUR:
+        value, si, highest = fields[name], PER_HOUR[name], MAX_PER_HOUR
+        numbers = value if isinstance(value, list | tuple) else [value]
+        if si in known:
+            problem = f"{si} is given, too: leave one out"
+        elif not all(isinstance(number, int | float) and 0.0 <= number <= highest for number in numbers):
+            problem = f"must be within 0 to {highest:g} m3/h"
+        else:
+            known[si] = tuple(n / 3600.0 for n in numbers) if numbers is value else value / 3600.0
+            continue
+        raise PydanticCustomError("per_hour", "{text}", {"text": f"{name} = {value!r}: {problem}"})
+    return known
+
+
+def supply_per_hour(fields: Mapping[str, Any]) -> dict[str, Any]:
+    """Fields of ``Supply`` with the air supply in m3/h, for a file."""
+    ending = {si: name for name, si in PER_HOUR.items()}
+    return {
+        ending.get(name, name): value if name not in ending
+        else [float(f"{3600.0 * n:.12g}") for n in value] if isinstance(value, list | tuple)
+        else float(f"{3600.0 * value:.12g}")
+        for name, value in fields.items()
+    }  # fmt: skip
+
+
 class Supply(Model):
-    """Air and air supply."""
+    """Air and air supply; the fields of ``PER_HOUR`` are accepted, too."""
 
     density: Annotated[float, range_of(Air, "density")] = Air().density
     """Air density [kg/m3]."""
@@ -150,6 +183,11 @@ class Supply(Model):
     """Resolution of the air supply [m3/s]; 0: continuous."""
     air_lag: Annotated[float | None, range_of(TaskConfig, "air_lag")] = None
     """Time constant of the air supply [s]."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _in_si(cls, fields: Any) -> Any:
+        return supply_in_si(fields) if isinstance(fields, Mapping) else fields
 
 
 class FeedDevice(Model):
@@ -529,11 +567,11 @@ class Plant(Model):
 def implausible(plant: Plant) -> str:
     """Error message for values that are within their range but implausible; empty if there are none."""
     config, scene = plant.config, plant.scene
-    for table, name, of, unit in (
-        ("feed", "feed_speed_step", "feed_speeds", "m/s"),
-        ("air", "air_supply_step", "air_supply_rates", "m3/s"),
+    for table, name, of, factor, unit in (
+        ("feed", "feed_speed_step", "feed_speeds", 1.0, "m/s"),
+        ("air", "air_supply_step", "air_supply_rates", 3600.0, "m3/h"),
     ):
-        step, (low, high) = getattr(config, name), getattr(config, of)
+        step, low, high = (factor * value for value in (getattr(config, name), *getattr(config, of)))
         if step > 0.0 and step * math.floor(high / step * (1.0 + 1e-9)) < low * (1.0 - 1e-9):
             return (
                 f"{table}.{name} = {step:g} {unit}: no whole step lies within {of}, {low:g} to {high:g} {unit}; use 0"

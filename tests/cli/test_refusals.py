@@ -54,7 +54,7 @@ REFUSED = [
     ("log rig.csv --plot rig.exe", "plot = 'rig.exe' is not a picture"),
     ("log nowhere.csv", "shipped logs: example-rig"),
     ("log example-rig --gap 0", "gap = 0.0 s is outside the accepted range 0.001 to 3600 s"),
-    ("log example-rig --air-supply nan", "air_supply_rate = nan m3/s is outside the accepted range"),
+    ("log example-rig --air-supply nan", "air_supply = nan m3/h is outside the accepted range"),
     (
         "log rig.csv --tube empty.toml",
         "empty.toml: instrument: missing, so the log cannot be judged: add the table [instrument]",

@@ -345,7 +345,7 @@ def test_a_lone_schedule_is_compared_with_the_best_one(tmp_path, monkeypatch, ca
         plan, reference = calls.pop()
         added = policies[0] != "pi" and "pi" not in policies
         assert ("best-schedule" in plan.policies, reference) == (added, against)
-        assert ("best-schedule was added for comparison" in capsys.readouterr().out) == added
+        assert ("one schedule: best-schedule is added for comparison" in capsys.readouterr().out) == added
 
 
 def test_the_page_names_passes_and_strained_cables(stored):

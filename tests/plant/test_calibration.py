@@ -5,9 +5,11 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from traceback import walk_stack
 from types import MappingProxyType
 from typing import Any
 
+import emcee
 import numpy as np
 import pytest
 from oracles.scatter import CHANCE, of_another
@@ -15,7 +17,7 @@ from scipy.stats import chi2, norm
 
 from probe_agents.cli import main
 from probe_agents.plant import inference
-from probe_agents.plant.calibration import read_cases
+from probe_agents.plant.calibration import read_cases, tube_file
 from probe_agents.plant.inference import (
     LIMIT,
     Case,
@@ -305,7 +307,8 @@ def test_intervals_cover_under_correlated_scatter() -> None:
 @pytest.mark.parametrize("short", [(60, 60)], indirect=True)
 def test_the_shipped_log_is_calibrated(short: None, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """It was simulated with a friction of 0.2: the interval has it, and the tension alone comes within 0.02."""
-    assert main(["calibrate", "example-rig", "--output", str(tmp_path)]) == 0
+    tube_path = tmp_path.parent / "mine.toml"
+    assert main(["calibrate", "example-rig", "--output", str(tmp_path), "--write-tube", str(tube_path)]) == 0
     record = json.loads((tmp_path / "calibration.json").read_text())
     for name in ("friction", "contact_stiffness", "drag_coefficient", "damping_time"):
         assert record[name]["low"] < record[name]["mean"] < record[name]["high"]
@@ -316,9 +319,36 @@ def test_the_shipped_log_is_calibrated(short: None, tmp_path: Path, capsys: pyte
     assert not record["misspecified"], record["reasons"]
     assert {p.name for p in tmp_path.iterdir()} == {"calibration.json", "corner.png", "bands.png"}
     assert "verdict" in capsys.readouterr().out
-    (tmp_path / "tube.toml").write_text('posterior = "calibration.json"\n')
-    plant = Plant.from_toml(tmp_path / "tube.toml")
+    plant = Plant.from_toml(tube_path)
     assert plant.scene.contact.friction == pytest.approx(record["friction"]["mean"], abs=0.01)
+    assert plant.bundle == Plant.from_toml("configs/tubes/example.toml").bundle is not None
+
+
+def test_a_tube_file_keeps_the_tables_and_replaces_the_calibration(tmp_path: Path) -> None:
+    tube, other, posterior = tmp_path / "tube.toml", tmp_path / "new" / "mine.toml", tmp_path / "out/calibration.json"
+    tube.write_text('# mine\nposterior = "old.json"\n\n[tube]\nhelix_length = 45.0  # m\n')
+    new = "# mine\n[tube]\nhelix_length = 45.0  # m\n"
+    assert tube_file(tube, posterior, tube) == f'posterior = "out/calibration.json"\n{new}'
+    assert tube_file(other, posterior, tube) == f'posterior = "../out/calibration.json"\n{new}'
+    for target, source, problem in (
+        (tube, None, "exists and has other tables"), (tmp_path / "mine.txt", tube, "must end with .toml")
+    ):  # fmt: skip
+        with pytest.raises(FileError, match=problem):
+            tube_file(target, posterior, source)
+
+
+def test_an_interrupt_of_the_sampling_prints_nothing(monkeypatch: pytest.MonkeyPatch, capfd: Any) -> None:
+    case, logarithm = log_like(TRUTH, None), Likelihood.logarithm
+
+    def interrupt(self: Likelihood, values: FloatArray) -> FloatArray:
+        if emcee.EnsembleSampler in (type(frame.f_locals.get("self")) for frame, _ in walk_stack(None)):
+            raise KeyboardInterrupt
+        return logarithm(self, values)
+
+    monkeypatch.setattr(Likelihood, "logarithm", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        sample_posterior(RESPONSE, [case], PRIOR, progress=False)
+    assert capfd.readouterr() == ("", "")
 
 
 def test_arguments_are_checked_before_a_log_is_read() -> None:

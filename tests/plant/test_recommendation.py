@@ -112,7 +112,7 @@ def test_interval_of_the_expected_reward() -> None:
 def test_plants_without_an_answer_are_refused() -> None:
     """In one line with the field and its value: too little air, or a vibration that the response does not have."""
     weak = Plant(air=Supply(air_supply_rates=(0.002, 0.004)), task={"required_tension": 5.0})
-    with pytest.raises(ValueError, match=r"air_supply_rates = \(0.002, 0.004\) m3/s: the most .* 7.5 N are needed"):
+    with pytest.raises(ValueError, match=r"air_supply_rates: the max, 14.4 m3/h, gives .* 7.5 N are needed"):
         optimal_schedule([Context(friction=0.3)], RESPONSE, weak.configured())
     loud = Plant(task={"vibration_measure": "acceleration"}).configured()
     assert optimal_schedule(TUBES, RESPONSE, loud).schedule.position[-1] == 60.0

@@ -18,7 +18,7 @@ from probe_agents.records.atomic import write_atomically
 from probe_agents.records.shipped import file_or_shipped, ships
 from probe_agents.terminal.messages import format_error
 from probe_env import Plant
-from probe_env.envs.plants import OF_AIR, OF_FEED, Between, with_posterior
+from probe_env.envs.plants import OF_AIR, OF_FEED, Between, supply_in_si, supply_per_hour, with_posterior
 from probe_env.envs.task import VISIBLE_FIELDS, TaskConfig
 from probe_env.files import FileError, read_toml
 from probe_env.settings import Model, Range, explain, range_of
@@ -188,6 +188,11 @@ def check_target(path: Path, read: Callable[[Path], object], replace: bool) -> N
         raise ReplaceError(path, "exists: press replace to write over it, or choose another name")
 
 
+def _file(tables: Mapping[str, Any]) -> str:
+    """Text of a tube file, with air in m3/h."""
+    return tomli_w.dumps({name: supply_per_hour(table) if name == "air" else table for name, table in tables.items()})
+
+
 class TubeForm:
     """A tube file during editing.
 
@@ -221,7 +226,10 @@ class TubeForm:
         """Read a file by its path, or a shipped one by its name."""
         path = file_or_shipped("tubes", name)
         self.plant, self.path = Plant.from_toml(path), path
-        self.tables = self._opened = read_toml(path)
+        self.tables = read_toml(path)
+        if "air" in self.tables:
+            self.tables["air"] = supply_in_si(self.tables["air"])
+        self._opened = self.tables
 
     def text(self, field: Field) -> str:
         """Text of a field; empty: not in the file."""
@@ -230,7 +238,7 @@ class TubeForm:
     @property
     def toml(self) -> str:
         """Text of the file with the changes."""
-        return tomli_w.dumps(self.tables)
+        return _file(self.tables)
 
     @property
     def posterior(self) -> str:
@@ -290,7 +298,7 @@ class TubeForm:
         tables = dict(self.tables)
         if self.posterior:
             tables[POSTERIOR] = os.path.relpath((self._folder / self.posterior).resolve(), path.resolve().parent)
-        write_atomically(path, tomli_w.dumps(tables))
+        write_atomically(path, _file(tables))
 
     def _replace(self, name: str, content: Any) -> None:
         """Replace a table or the posterior if the result is valid; without content it is removed."""

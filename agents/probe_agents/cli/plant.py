@@ -114,6 +114,9 @@ class Calibrate:
     """Your plant (tube.toml), which gives the prior; default: the study's plant."""
     output: Path = Path("output/calibration")
     """Folder of calibration.json, corner.png and bands.png."""
+    write_tube: File = None
+    """Also write a tube file that uses the calibration: with the tables of --tube, else with instrument and bundle of
+    the shipped example."""
     helix_diameters: Annotated[tuple[float, ...], hide_default("FLOAT ...")] = ()
     """Helix diameter of the tube of each log [m], or one for all; needed if the tube file lists several."""
     tubes: Annotated[tuple[str, ...], hide_default("NAME ...")] = ()
@@ -130,17 +133,25 @@ class Calibrate:
         for needed in ("emcee", "corner"):  # fails before the sampling of half a minute
             import_module(needed)
 
-        from probe_agents.plant.calibration import calibrate, draw_bands, draw_corner, print_calibration, read_cases
+        from probe_agents.plant.calibration import (
+            calibrate,
+            draw_bands,
+            draw_corner,
+            print_calibration,
+            read_cases,
+            tube_file,
+        )
         from probe_agents.plant.response import stored_response
         from probe_agents.policies.cases import plant_at
+        from probe_agents.records.atomic import write_text
         from probe_agents.records.manifest import origin, write_json
         from probe_env import Plant
 
-        plant = plant_at(self.tube) or Plant()
+        plant, target = plant_at(self.tube) or Plant(), self.output / "calibration.json"
+        tube_text = tube_file(self.write_tube, target, self.tube) if self.write_tube else ""
         arguments = self.columns, self.missing, self.time_format
         cases = read_cases(self.logs, plant, self.helix_diameters, self.tubes, *arguments)
         calibration = calibrate(cases, plant, stored_response(), str(self.tube or "tube"))
-        target = self.output / "calibration.json"
         write_json(target, calibration.to_json() | {"provenance": origin()})
         pictures = [
             draw_corner(calibration, self.output / "corner.png"),
@@ -150,8 +161,11 @@ class Calibrate:
         print_line(f"written: {', '.join(map(str, (target, *pictures)))}")
         if calibration.misfits:
             print("do not use this posterior: recommend refuses a tube.toml that names it")
+        elif self.write_tube:
+            write_text(self.write_tube, tube_text)
+            print_line(f"written: {self.write_tube}; use it: --tube {self.write_tube}")
         else:
-            print_line(f'use it: posterior = "{target}" above the tables of your tube.toml')
+            print_line(f'use it: posterior = "{target}" above the tables of your tube.toml, or --write-tube mine.toml')
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import logging
+import os
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -43,6 +46,8 @@ LABELS: Final = (
     ("radial rms by the noise [mm]", 1e3),
 )
 """Label of each channel in a picture, and its scale."""
+POSTERIOR: Final = re.compile(r"^posterior *=.*\n+", re.MULTILINE)
+"""Line of a tube file with its calibration."""
 BAND_DRAWS: Final = 64
 """Draws in a picture of bands."""
 
@@ -213,6 +218,28 @@ def calibrate(
     sliding = {tube: fit_sliding([c for c in cases if c.tube == tube], prior) for tube in posterior.likelihood.tubes}
     gains = [fit_gain(posterior.likelihood, number, prior) for number in range(len(cases))]
     return Calibration(prior, posterior, sliding, outside, gains)
+
+
+def tube_file(target: Path, posterior: Path, tube: Path | None) -> str:
+    """Text of a tube file that names a calibration, above the tables of ``tube`` or the instrument of the example.
+
+    Args:
+        target: the file to write.
+        posterior: ``calibration.json``.
+        tube: file or name of the plant; None: the study's, with instrument, task and bundle of the example.
+
+    Raises:
+        FileError: the file exists and has other tables, or is no TOML file.
+    """
+    if target.suffix != ".toml":
+        raise FileError(target, "a tube file must end with .toml")
+    example = file_or_shipped("tubes", Path("example")) if tube is None else None
+    text = (example or file_or_shipped("tubes", Path(str(tube)))).read_text(encoding="utf-8")
+    tables = text[text.index("[instrument]") :] if example else POSTERIOR.sub("", text, count=1)
+    if target.exists() and POSTERIOR.sub("", target.read_text(encoding="utf-8"), count=1).strip() != tables.strip():
+        raise FileError(target, "exists and has other tables: choose another name, or give it as --tube")
+    path = os.path.relpath(posterior.resolve(), target.resolve().parent)
+    return f"posterior = {json.dumps(path, ensure_ascii=False)}\n{tables}"
 
 
 def print_calibration(calibration: Calibration, with_file: bool = True) -> None:

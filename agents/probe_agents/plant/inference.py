@@ -175,6 +175,7 @@ def sample_posterior(
         warnings.simplefilter("ignore", RuntimeWarning)
         moves = [(emcee.moves.DEMove(), 0.8), (emcee.moves.DESnookerMove(), 0.2)]
         sampler = emcee.EnsembleSampler(walkers, size, density, moves=moves, vectorize=True)
+    sampler.log_prob_fn = density  # emcee's wrapper of it would print a traceback at Ctrl-C
     sampler.random_state = np.random.RandomState(int(rng.integers(2**31))).get_state()
     steps = sampler.sample(start, iterations=BURN_IN + STEPS)
     for _ in tqdm(steps, total=BURN_IN + STEPS, desc="posterior", unit="step", disable=not progress):

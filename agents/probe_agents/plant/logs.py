@@ -143,7 +143,7 @@ def read_log(
     if decimal not in DECIMALS:
         raise ValueError(f"decimal = {decimal!r} is not one of {', '.join(DECIMALS)}")
     if air_supply_rate is not None:
-        within("air_supply_rate", air_supply_rate, 0.0, RANGES[AIR][1] / HOUR, "m3/s")
+        within("air_supply", HOUR * air_supply_rate, 0.0, RANGES[AIR][1], "m3/h")
     channels = read_channels(path, sheet, options, DECIMALS[decimal], air_supply_rate, missing, time_format)
     table, whole = channels.table, clean(channels, bounds)
     share = 0.49 * bounds.tolerance  # for standstills and for interpolation; the rest is for rounding

@@ -29,6 +29,7 @@ from probe_agents.policies.on_map import FIRST, SPACING
 from probe_agents.policies.policy import OutsideDomain
 from probe_agents.records.atomic import write_atomically
 from probe_agents.records.manifest import origin, write_json
+from probe_agents.records.quantities import HOUR
 from probe_agents.terminal.tables import print_line
 from probe_env import Context, Plant, Scene
 from probe_env.arrays import BoolArray, FloatArray
@@ -270,7 +271,8 @@ def settings_of(tubes: Sequence[Context], config: TaskConfig, start_air: float =
     if hopeless.any():
         at = f"{tension[hopeless][0].max():.3g} N at {lengths[hopeless][0]:g} m in {CONFIDENCE:.0%} of the samples"
         needed = f"{MARGIN * config.required_tension:.3g} N are needed ({MARGIN:g} times required_tension)"
-        problem = f"air_supply_rates = {config.air_supply_rates!r} m3/s: the most air gives a root tension of only"
+        most = HOUR * config.air_supply_rates[1]
+        problem = f"air_supply_rates: the max, {most:.4g} m3/h, gives a root tension of only"
         raise ValueError(f"{problem} {at}, and {needed}")
     too_slack |= (air < start_air - 1e-12) & ~drive_counts(config, lengths[:, None])
     return settings._replace(tension=tension, excluded=too_slack)

@@ -9,7 +9,7 @@ from scipy.stats import ks_1samp, norm, uniform
 from probe_agents.vec_env import ProbeVecEnv
 from probe_env import Plant, Scene, TaskConfig
 from probe_env.envs.contexts import HELIX_DIAMETERS, Context
-from probe_env.envs.plants import Bundle, Normal, middle, quantiles
+from probe_env.envs.plants import Bundle, Normal, middle, quantiles, supply_in_si, supply_per_hour
 from probe_env.physics.closed_forms.route import required_root_tension, route_forces
 
 TEXT = """
@@ -128,7 +128,13 @@ BROKEN = {
     },
     "feed.feed_speed_step = 0.5 m/s: no whole step lies within feed_speeds, 0.02": {"feed": {"feed_speed_step": 0.5}},
     "no whole step lies within feed_speeds, 0.11 to": {"feed": {"feed_speeds": [0.11, 0.19], "feed_speed_step": 0.1}},
-    "air.air_supply_step = 0.05 m3/s: no whole step lies within air": {"air": {"air_supply_step": 0.05}},
+    "air.air_supply_step = 180 m3/h: no whole step lies within air": {"air": {"air_supply_step": 0.05}},
+    r"air: air_supply_rates_m3_per_h = \(30, 1000\): must be within 0 to 720 m3/h": {
+        "air": {"air_supply_rates_m3_per_h": [30, 1000]}
+    },
+    "air: air_supply_step_m3_per_h = 5: air_supply_step is given, too: leave one out": {
+        "air": {"air_supply_step_m3_per_h": 5, "air_supply_step": 0.001}
+    },
     "helix_diameter = 1400.0 m is outside the accepted range 0.3 to 50 m": {"tube": {"helix_diameter": 1400}},
     "task.vibration_limit = 0.1 m is more than the 0.0052 m that": {"task": {"vibration_limit": 0.1}},
     r"route.0.slope: 120.0 degrees is outside the accepted range -90 to 90 degrees": {
@@ -266,6 +272,13 @@ def test_custom_contexts_are_used_with_a_tube(file):
     env = gym.make("probe_env/Insertion-v1", tube=file, contexts=contexts, **SETTINGS)
     assert env.reset(seed=0)[1]["context"] == Context.model_validate(contexts[0]).model_dump()
     assert env.unwrapped.config.scene.tube.inner_diameter == 22.1e-3
+
+
+def test_air_supply_in_m3_per_h():
+    fields = {"air_supply_rates_m3_per_h": [30.0, 122.0], "air_supply_step_m3_per_h": 5.0, "air_lag": 1.5}
+    supply = Plant.model_validate({"air": fields}).air
+    assert (supply.air_supply_rates, supply.air_supply_step) == ((30.0 / 3600.0, 122.0 / 3600.0), 5.0 / 3600.0)
+    assert supply_per_hour(supply_in_si(fields)) == fields
 
 
 def test_arguments_that_contradict_a_tube_are_refused():
