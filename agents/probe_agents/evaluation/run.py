@@ -85,6 +85,7 @@ def evaluate(
     plan = plan_of(policies, case, seeds, fidelity, probes, strict)
     if output is None:
         return run_plan(plan, None, workers=workers)
+    output.mkdir(parents=True, exist_ok=True)
     tubes = len(plan.contexts)
     print_line(f"evaluation of {', '.join(plan.policies)} in {tubes} {'tubes' if tubes > 1 else 'tube'}")
     return evaluate_plan(plan, output, against, workers, user_policies(policies))
