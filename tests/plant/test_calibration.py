@@ -1,13 +1,9 @@
 """Calibration: priors, metres, estimates from logs of known truth, gauge errors, and the command."""
 
-from __future__ import annotations
-
 import json
-from collections.abc import Callable, Sequence
 from pathlib import Path
 from traceback import walk_stack
 from types import MappingProxyType
-from typing import Any
 
 import emcee
 import numpy as np
@@ -31,31 +27,21 @@ from probe_agents.plant.logs import Log
 from probe_agents.plant.prior import DAMPING, DRAG, FRICTION, STIFFNESS, prior_of
 from probe_agents.plant.response import CHANNELS, Metres, metres_of, observed, steady_tension, stored_response
 from probe_env import Plant, Scene
-from probe_env.arrays import FloatArray
 from probe_env.files import FileError
 
 RESPONSE, PRIOR = stored_response(), prior_of(Plant())
 LENGTH = np.arange(6.5, 50.0)
 TRUTH = np.array([0.2, 1e5, 0.44, 6e-5])
-Seeds = Callable[[int], Sequence[int]]
 
 
 @pytest.fixture(params=[(200, 200)])
-def short(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> None:
+def short(monkeypatch, request):
     """Few steps: enough for a mean and an interval."""
     for name, steps in zip(("BURN_IN", "STEPS"), request.param, strict=True):
         monkeypatch.setattr(inference, name, steps)
 
 
-def log_like(
-    truth: FloatArray,
-    rng: np.random.Generator | None,
-    diameter: float = 1.3,
-    tube: str = "",
-    length: FloatArray = LENGTH,
-    channels: Sequence[str] = CHANNELS,
-    gain: float = 1.0,
-) -> Case:
+def log_like(truth, rng, diameter=1.3, tube="", length=LENGTH, channels=CHANNELS, gain=1.0):
     """A log at a truth (4,): drawn from the response, or without scatter if there is no generator."""
     scene = Scene.fitted({"tube": {"helix_diameter": diameter}})
     feed = np.interp(length, [5.0, 20.0, 50.0], [0.3, 0.2, 0.1])
@@ -70,13 +56,13 @@ def log_like(
     return Case("log", tube, scene, Metres(length, feed, air, {n: measured[:, CHANNELS.index(n)] for n in channels}))
 
 
-def with_measurements(case: Case, measured: dict[str, FloatArray]) -> Case:
+def with_measurements(case, measured):
     """The case with other measurements."""
     m = case.metres
     return case._replace(metres=Metres(m.length, m.feed, m.air, measured))
 
 
-def test_the_prior_is_what_the_file_says() -> None:
+def test_the_prior_is_what_the_file_says():
     """All is open without a file; a number is known, but not as friction; figures become their quantiles."""
     expected = {"friction": FRICTION, "contact_stiffness": STIFFNESS, "damping_time": DAMPING}
     assert {name: PRIOR.ranges[name] for name in expected} == expected
@@ -94,7 +80,7 @@ def test_the_prior_is_what_the_file_says() -> None:
     # standard normal coordinates of the 5th percentile, the median and the 95th
     values = prior.values(np.array([[z, z] for z in (-1.6449, 0.0, 1.6449)]), 1)[0, :, :2]
     np.testing.assert_allclose(values, [[0.105, 83551.5], [0.15, 1e5], [0.195, 116448.5]], rtol=1e-3)
-    refused: list[tuple[dict[str, Any], str]] = [
+    refused = [
         ({"contact": {"friction": {"low": 0.1, "high": 0.6}}}, "contact.friction = 0.6 is outside 0.05 to 0.35"),
         ({"contact": {"stiffness": 1e6}}, r"contact.stiffness = 1e\+06 N/m is outside 50000 to 190000 N/m"),
         ({"probe": {"damping_time": 1e-5}}, "probe.damping_time = 1e-05 s is outside 4.5e-05 to 0.00012 s"),
@@ -105,7 +91,7 @@ def test_the_prior_is_what_the_file_says() -> None:
             prior_of(Plant.model_validate(tables), "mine.toml")
 
 
-def recorded(feed: list[float], tension: list[float], noise: list[float], parts: int = 1) -> Log:
+def recorded(feed, tension, noise, parts=1):
     """A log from 5 m on, with ``parts`` rows a second."""
     fed = np.repeat(feed, parts)
     length = 5.0 + np.concatenate([[0.0], np.cumsum(fed)[:-1]]) / parts
@@ -114,7 +100,7 @@ def recorded(feed: list[float], tension: list[float], noise: list[float], parts:
     return Log(time, length, fed, np.full(len(fed), 0.02), MappingProxyType(measured))
 
 
-def test_metres_are_means_over_time_and_of_squares() -> None:
+def test_metres_are_means_over_time_and_of_squares():
     noise = [3e-5, 4e-5, 3e-5, 4e-5, 1e-5, 1e-5, 1e-5, 1e-5]
     averaged = metres_of(recorded([0.25] * 8, [1, 2, 3, 4, 5, 5, 5, 5], noise))
     np.testing.assert_allclose(averaged.length, [5.5, 6.5])
@@ -127,7 +113,7 @@ def test_metres_are_means_over_time_and_of_squares() -> None:
         np.testing.assert_allclose(finer.measured["root_tension"], coarse.measured["root_tension"])
 
 
-def test_a_standstill_and_its_restart_do_not_count() -> None:
+def test_a_standstill_and_its_restart_do_not_count():
     """Ten seconds of rest change nothing but the metre that they interrupt, of which half is left out."""
     moving = metres_of(recorded([0.25] * 16, [2.0] * 16, [1e-5] * 16))
     feed, tension = [0.25] * 4 + [0.0] * 10 + [0.25] * 12, [2.0] * 4 + [9.0] * 13 + [2.0] * 9
@@ -140,7 +126,7 @@ def test_a_standstill_and_its_restart_do_not_count() -> None:
 
 @pytest.mark.slow
 @pytest.mark.processor
-def test_truths_are_where_the_posterior_says(short: None, seeds: Seeds) -> None:
+def test_truths_are_where_the_posterior_says(short, seeds):
     """Ten logs of the response's own making, of truths from the prior: the rank of each among its draws is uniform.
 
     So are the ranks of one unknown over logs, which have nothing in common, but not those of four in one log: each
@@ -163,7 +149,7 @@ def test_truths_are_where_the_posterior_says(short: None, seeds: Seeds) -> None:
 
 @pytest.mark.slow
 @pytest.mark.processor
-def test_logs_of_one_tube_share_its_friction(short: None, seeds: Seeds) -> None:
+def test_logs_of_one_tube_share_its_friction(short, seeds):
     """Three logs give a friction more precisely than one; each of two tubes has its own friction."""
     truth, ratios, worlds = np.array([0.18, 9e4, 0.44, 6e-5]), [], 4
     for seed in seeds(worlds):
@@ -182,7 +168,7 @@ def test_logs_of_one_tube_share_its_friction(short: None, seeds: Seeds) -> None:
 
 
 @pytest.mark.parametrize("short", [(10, 20)], indirect=True)
-def test_two_tubes_share_all_unknowns_but_friction(short: None) -> None:
+def test_two_tubes_share_all_unknowns_but_friction(short):
     rng = np.random.default_rng(0)
     own, every = {"a": 0.3, "b": 0.1}, LENGTH[::4]
     cases = [log_like(np.array([mu, 9e4, 0.44, 6e-5]), rng, tube=k, length=every) for k, mu in own.items()]
@@ -194,7 +180,7 @@ def test_two_tubes_share_all_unknowns_but_friction(short: None) -> None:
 
 
 @pytest.mark.processor
-def test_misfit_of_own_logs_and_of_random_numbers(seeds: Seeds) -> None:
+def test_misfit_of_own_logs_and_of_random_numbers(seeds):
     """The mean square of its own deviations is 1 within its scatter; numbers that follow nothing are far beyond."""
     rng = np.random.default_rng(seeds(1)[0])
     case = log_like(TRUTH, rng)
@@ -205,7 +191,7 @@ def test_misfit_of_own_logs_and_of_random_numbers(seeds: Seeds) -> None:
     assert (Likelihood(RESPONSE, [with_measurements(case, noisy)]).misfit(0, TRUTH) > RESPONSE.misfit).any()
 
 
-def test_short_logs_and_logs_without_channels_are_refused() -> None:
+def test_short_logs_and_logs_without_channels_are_refused():
     """Before anything is sampled, by its name."""
     with pytest.raises(ValueError, match="log: 5 metres of insertion, at least 8 are needed"):
         sample_posterior(RESPONSE, [log_like(TRUTH, None, length=LENGTH[:5])], PRIOR)
@@ -213,7 +199,7 @@ def test_short_logs_and_logs_without_channels_are_refused() -> None:
         sample_posterior(RESPONSE, [log_like(TRUTH, None, channels=())], PRIOR)
 
 
-def settled(gain: float, channels: Sequence[str] = CHANNELS) -> Likelihood:
+def settled(gain, channels=CHANNELS):
     """Of a log without scatter whose tension is read with a gain; the scatter is that at the truth."""
     truth = np.array([0.12, 9e4, 0.44, 7e-5])
     likelihood = Likelihood(RESPONSE, [log_like(truth, None, diameter=1.6, channels=channels, gain=gain)])
@@ -221,7 +207,7 @@ def settled(gain: float, channels: Sequence[str] = CHANNELS) -> Likelihood:
     return likelihood
 
 
-def test_missing_channels_and_the_settled_scatter() -> None:
+def test_missing_channels_and_the_settled_scatter():
     """The likelihood of some channels is that of the others integrated out: their block of the covariance."""
     case = log_like(TRUTH, np.random.default_rng(1))
     part = with_measurements(case, {n: case.metres.measured[n] for n in CHANNELS[1:]})
@@ -236,7 +222,7 @@ def test_missing_channels_and_the_settled_scatter() -> None:
     np.testing.assert_allclose(likelihood.settled[0], np.sqrt(spread[0] * spread[1]))
 
 
-def test_the_best_gain_is_exact() -> None:
+def test_the_best_gain_is_exact():
     """It is as likely as no gain of the same log with its tension divided by it, and likelier than any other."""
     normal = np.array([[0.3, -0.5, 0.2, 0.1]])
     log, best = GainLikelihood(settled(1.3), 0, PRIOR, True).logarithm(normal)
@@ -248,18 +234,15 @@ def test_the_best_gain_is_exact() -> None:
     assert near[0.0] > max(near[-0.02], near[0.02])
 
 
-def test_excess_gain_of_a_gauge_is_found() -> None:
+def test_excess_gain_of_a_gauge_is_found():
     """A gain of 1.5 is beyond the 15 % that drag may be, and the tension's bend fixes the friction; 1.1 is within."""
     true, drag, scaled = (fit_gain(settled(gain), 0, PRIOR) for gain in (1.0, 1.1, 1.5))
-    assert true
-    assert drag
-    assert scaled
     assert max(true.ratio, drag.ratio) < LIMIT < scaled.ratio
     assert scaled.gain > 1.5 / 1.15 / 1.15  # drag may be at either edge of its prior
     assert fit_gain(settled(1.0, CHANNELS[1:]), 0, PRIOR) is None
 
 
-def sliding_log(friction: float, drag: float, bore: float, noise: FloatArray | float = 0.0) -> Case:
+def sliding_log(friction, drag, bore, noise=0.0):
     """A log of steady sliding: feed and air change over 50 m."""
     scene = Scene.fitted({"tube": {"inner_diameter": bore, "helix_diameter": 1.4}})
     length = np.arange(5.5, 55.0)
@@ -268,25 +251,23 @@ def sliding_log(friction: float, drag: float, bore: float, noise: FloatArray | f
     return with_measurements(Case("log", "", scene, bare), {"root_tension": tension})
 
 
-def test_sliding_is_the_inverse_of_the_closed_form() -> None:
+def test_sliding_is_the_inverse_of_the_closed_form():
     """Without scatter the friction is found: drag is table 2's, and so is the middle of its prior."""
     for bore in (0.022, 0.0242, 0.026):
         for friction in (0.08, 0.2, 0.33):
             fit = fit_sliding([sliding_log(friction, 1.0, bore)], PRIOR)
-            assert fit is not None
             assert fit.friction[0] == pytest.approx(friction, rel=2e-3)  # drag is drawn to the middle of its range
             assert fit.friction[1] < friction < fit.friction[2]
     case = sliding_log(0.2, 1.0, 0.0242)
     assert fit_sliding([with_measurements(case, {"rf_noise_rms": 1e-5 * case.metres.length})], PRIOR) is None
     # a pull 10 % stronger than the file says is found as drag; otherwise the friction would be 9 % off
     fit = fit_sliding([sliding_log(0.2, 1.1, 0.0242)], PRIOR)
-    assert fit is not None
     for (mean, low, high), true in ((fit.friction, 0.2), (fit.drag_coefficient, 1.1 * 0.44)):
         assert low < true < high
         assert mean == pytest.approx(true, rel=0.05)
 
 
-def test_intervals_cover_under_correlated_scatter() -> None:
+def test_intervals_cover_under_correlated_scatter():
     """Of 40 logs whose deviations decay over 3 m, at least 27 are covered by 90 % intervals.
 
     Fewer come with a chance of 2e-5, were the coverage just 0.9 (binomial).
@@ -298,14 +279,13 @@ def test_intervals_cover_under_correlated_scatter() -> None:
         noise = np.linalg.cholesky(np.exp(-apart / 3.0) + 1e-9 * np.eye(50)) @ rng.normal(size=50) * 0.05
         friction = float(rng.uniform(0.08, 0.3))
         fit = fit_sliding([sliding_log(friction, 1.0, 0.0242, noise)], PRIOR)
-        assert fit is not None
         covered += fit.friction[1] <= friction <= fit.friction[2]
     assert covered >= 27
 
 
 @pytest.mark.processor
 @pytest.mark.parametrize("short", [(60, 60)], indirect=True)
-def test_the_shipped_log_is_calibrated(short: None, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_shipped_log_is_calibrated(short, tmp_path, capsys):
     """It was simulated with a friction of 0.2: the interval has it, and the tension alone comes within 0.02."""
     tube_path = tmp_path.parent / "mine.toml"
     assert main(["calibrate", "example-rig", "--output", str(tmp_path), "--write-tube", str(tube_path)]) == 0
@@ -351,13 +331,13 @@ def test_an_interrupt_of_the_sampling_prints_nothing(monkeypatch: pytest.MonkeyP
     assert capfd.readouterr() == ("", "")
 
 
-def test_arguments_are_checked_before_a_log_is_read() -> None:
+def test_arguments_are_checked_before_a_log_is_read():
     """The files need not even exist."""
-    usual: dict[str, Any] = {
+    usual = {
         "paths": [Path("a.csv"), Path("b.csv")], "plant": Plant(), "helix_diameters": [], "tubes": [], "columns": []
     }  # fmt: skip
     three, two = (Plant(tube={"helix_diameter": diameters}) for diameters in ((1.0, 1.2, 1.4), (1.0, 1.2)))
-    cases: list[tuple[dict[str, Any], str]] = [
+    cases = [
         ({"paths": []}, "logs: at least one is needed"),
         ({"helix_diameters": [1.0, 1.2, 1.4]}, "--helix-diameters: 3 for 2 logs"),
         ({"helix_diameters": [0.1]}, "helix_diameter = 0.1 m is outside the accepted range 0.3 to 10000 m"),
@@ -371,7 +351,7 @@ def test_arguments_are_checked_before_a_log_is_read() -> None:
             read_cases(**(usual | arguments))
 
 
-def test_a_log_without_air_is_refused_by_file_column_and_value(tmp_path: Path) -> None:
+def test_a_log_without_air_is_refused_by_file_column_and_value(tmp_path):
     path, head = tmp_path / "rig.csv", "time [s];inserted_length [m];air_supply [m3/h];root_tension [N]"
     for switched_off in (0, 50):
         rows = [f"{k};{5 + 0.3 * k:.1f};{63 * (k < switched_off)};5" for k in range(100)]

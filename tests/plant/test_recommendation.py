@@ -1,11 +1,7 @@
 """Recommended schedules: optimal, within the device's ranges and steps, taut enough; the command and its refusals."""
 
-from __future__ import annotations
-
 import itertools
 import json
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -47,7 +43,7 @@ CONFIG = TRAIN.config
 TUBE = "[tube]\nhelix_length = 24.0\n[contact]\nfriction = { low = 0.1, high = 0.2 }\n"
 
 
-def test_the_cheapest_path_is_that_of_all_paths() -> None:
+def test_the_cheapest_path_is_that_of_all_paths():
     """Of 4 points at 6 places all 4096 paths were tried; a place may forbid some points."""
     rng = np.random.default_rng(0)
     staged, change = rng.random((6, 4)), rng.random((4, 4))
@@ -60,7 +56,7 @@ def test_the_cheapest_path_is_that_of_all_paths() -> None:
     assert cheapest_path(staged, change) == list(paths[int(np.argmin(costs))])
 
 
-def test_recommended_schedule_fits_the_device() -> None:
+def test_recommended_schedule_fits_the_device():
     """Whole steps within the ranges, to the end of the helix, with the margin of the root tension."""
     config = PLANT.configured()
     optimum = optimal_schedule(TUBES, RESPONSE, config)
@@ -73,7 +69,7 @@ def test_recommended_schedule_fits_the_device() -> None:
     assert optimum.tension >= MARGIN * config.required_tension
 
 
-def test_recommended_schedule_beats_shipped_and_near_ones() -> None:
+def test_recommended_schedule_beats_shipped_and_near_ones():
     """No constant change of its feed is expected to be better by more than the price on change could hide."""
     config = Plant().configured()
     schedule = optimal_schedule(TUBES, RESPONSE, config).schedule
@@ -93,7 +89,7 @@ def test_recommended_schedule_beats_shipped_and_near_ones() -> None:
     assert rough < 0.7 * slippery
 
 
-def test_interval_of_the_expected_reward() -> None:
+def test_interval_of_the_expected_reward():
     """That of two equal tubes is their reward; of different ones it holds the mean."""
     config = Plant().configured()
     alone, twice, different = (optimal_schedule(tubes, RESPONSE, config) for tubes in (TUBES[:1], TUBES[:1] * 2, TUBES))
@@ -109,7 +105,7 @@ def test_interval_of_the_expected_reward() -> None:
     assert (low, high) == pytest.approx(np.quantile(rewards, [0.05, 0.95]))
 
 
-def test_plants_without_an_answer_are_refused() -> None:
+def test_plants_without_an_answer_are_refused():
     """In one line with the field and its value: too little air, or a vibration that the response does not have."""
     weak = Plant(air=Supply(air_supply_rates=(0.002, 0.004)), task={"required_tension": 5.0})
     with pytest.raises(ValueError, match=r"air_supply_rates: the max, 14.4 m3/h, gives .* 7.5 N are needed"):
@@ -120,7 +116,7 @@ def test_plants_without_an_answer_are_refused() -> None:
         optimal_schedule(TUBES, RESPONSE, Plant(task={"vibration_measure": "velocity"}).configured())
 
 
-def test_feeds_end_at_the_speed_that_the_instrument_permits() -> None:
+def test_feeds_end_at_the_speed_that_the_instrument_permits():
     """54 Hz / 4 x 20 mm / 2 = 0.135 m/s; without it the first metres are faster. In the PLC's law, too."""
     fields = PLANT.model_dump()
     limited = Plant.model_validate(fields | {"instrument": {"test_frequency": 54.0}}).config
@@ -131,7 +127,7 @@ def test_feeds_end_at_the_speed_that_the_instrument_permits() -> None:
     assert PlantData.of(limited).feed_speeds == pytest.approx((0.03, 0.135))
 
 
-def test_recommended_air_carries_the_probe_through_the_route() -> None:
+def test_recommended_air_carries_the_probe_through_the_route():
     """With 1.5 times the drag that 12 m of rising tube need where lost drive is not scored yet, then by the tension."""
     tables = PLANT.model_dump() | {"route": ({"length": 12.0, "slope": 90.0}, {"helix": True})}
     plant = Plant.model_validate(tables)
@@ -151,7 +147,7 @@ def test_recommended_air_carries_the_probe_through_the_route() -> None:
     assert "route.0: the probe stops with its tip 0.5 m" in str(recipe_of(hard))
 
 
-def test_air_is_safe_in_every_tube() -> None:
+def test_air_is_safe_in_every_tube():
     """One step further it is not in one at least; and what the most air does there is what was simulated.
 
     Of the test tubes the 130 m3/h of the device buckle the cable in number 29 alone, as they did in whole inspections.
@@ -170,8 +166,8 @@ def test_air_is_safe_in_every_tube() -> None:
     assert fewer[1] >= air_back
 
 
-def test_a_device_without_safe_air_is_refused() -> None:
-    cases: list[tuple[dict[str, Any], str]] = [
+def test_a_device_without_safe_air_is_refused():
+    cases = [
         ({"required_tension": 50.0}, "the most air pulls with only .* N in the worst tube, and 75 N are needed"),
         ({"scene": {"probe": {"flexural_rigidity": 0.002}}}, "the least air compresses with .* N; the limit is"),
     ]
@@ -180,7 +176,7 @@ def test_a_device_without_safe_air_is_refused() -> None:
             safe_air(CONFIG.model_copy(update=update), TRAIN.contexts[:6], (0.1, 0.4))
 
 
-def test_values_outside_the_training_ranges_are_reported() -> None:
+def test_values_outside_the_training_ranges_are_reported():
     """Bore, friction and probe, each with value and range; nothing within them."""
     assert outside_training(TUBES, RESPONSE, PLANT.configured()) == []
     odd = Plant(tube=Tubes(inner_diameter=28e-3), probe=Probe(line_density=0.13)).configured()
@@ -190,7 +186,7 @@ def test_values_outside_the_training_ranges_are_reported() -> None:
 
 
 @pytest.mark.slow
-def test_recommended_schedule_is_compared_in_simulation(tmp_path: Path) -> None:
+def test_recommended_schedule_is_compared_in_simulation(tmp_path):
     """The schedule, and the report with a schedule to compare with, on tubes of the plant."""
     (tmp_path / "tube.toml").write_text(TUBE)
     own = tmp_path / "own.csv"
@@ -205,7 +201,7 @@ def test_recommended_schedule_is_compared_in_simulation(tmp_path: Path) -> None:
     assert "recommended" in (tmp_path / "my-confirmed" / "report.html").read_text()
 
 
-def test_recommendation_without_simulation(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_recommendation_without_simulation(tmp_path, capsys):
     """``--no-simulated``: the schedule and how it was found, and no folder of episodes."""
     (tmp_path / "tube.toml").write_text(TUBE)
     arguments = ["--tube", str(tmp_path / "tube.toml"), "--output", str(tmp_path / "my.csv"), "--no-simulated"]
@@ -228,9 +224,7 @@ def test_recommendation_without_simulation(tmp_path: Path, capsys: pytest.Captur
 
 @pytest.mark.filterwarnings("ignore:.*the calibration is misspecified")
 @pytest.mark.parametrize("misspecified", [False, True])
-def test_misspecified_calibration_needs_the_option_anyway(
-    misspecified: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_misspecified_calibration_needs_the_option_anyway(misspecified, tmp_path, capsys):
     (tmp_path / "c.json").write_text(json.dumps({"misspecified": misspecified, "draws": {"friction": [0.12, 0.15]}}))
     (tmp_path / "tube.toml").write_text(f'posterior = "c.json"\n{TUBE}')
     tube, output = str(tmp_path / "tube.toml"), tmp_path / "my.csv"

@@ -91,6 +91,12 @@ def test_a_manifest_names_what_made_a_result_and_its_files(tmp_path, monkeypatch
     assert json.loads((tmp_path / "nan.json").read_text()) == {"a": [None, 1.0]}
 
 
+def test_a_password_in_an_address_is_not_stored():
+    command = "probe-env evaluate pi --backend ray --address ray://me:se@cret@host:6379 --limit 2"
+    assert manifest.origin(command)["command"] == command.replace("se@cret", "***")
+    assert manifest.origin("probe-env evaluate pi")["command"] == "probe-env evaluate pi"
+
+
 def test_texts_and_errors(tmp_path):
     path = tmp_path / "numbers.json"
     path.write_text("[\n" + "9" * 4300 + "]")
