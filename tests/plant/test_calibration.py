@@ -304,7 +304,7 @@ def test_the_shipped_log_is_calibrated(short, tmp_path, capsys):
     assert plant.bundle == Plant.from_toml("configs/tubes/example.toml").bundle is not None
 
 
-def test_a_tube_file_keeps_the_tables_and_replaces_the_calibration(tmp_path: Path) -> None:
+def test_a_tube_file_keeps_the_tables_and_replaces_the_calibration(tmp_path):
     tube, other, posterior = tmp_path / "tube.toml", tmp_path / "new" / "mine.toml", tmp_path / "out/calibration.json"
     tube.write_text('# mine\nposterior = "old.json"\n\n[tube]\nhelix_length = 45.0  # m\n')
     new = "# mine\n[tube]\nhelix_length = 45.0  # m\n"
@@ -317,10 +317,10 @@ def test_a_tube_file_keeps_the_tables_and_replaces_the_calibration(tmp_path: Pat
             tube_file(target, posterior, source)
 
 
-def test_an_interrupt_of_the_sampling_prints_nothing(monkeypatch: pytest.MonkeyPatch, capfd: Any) -> None:
+def test_an_interrupt_of_the_sampling_prints_nothing(monkeypatch, capfd):
     case, logarithm = log_like(TRUTH, None), Likelihood.logarithm
 
-    def interrupt(self: Likelihood, values: FloatArray) -> FloatArray:
+    def interrupt(self, values):
         if emcee.EnsembleSampler in (type(frame.f_locals.get("self")) for frame, _ in walk_stack(None)):
             raise KeyboardInterrupt
         return logarithm(self, values)
