@@ -165,7 +165,7 @@ def ranking(table: pd.DataFrame) -> list[str]:
 
 
 def paired_difference(table: pd.DataFrame, first: str, second: str, kpi: str) -> Interval:
-    """Mean of first minus second on the same contexts, with its interval.
+    """Mean of first minus second on the same contexts, with its interval, in the unit of the column ``kpi``.
 
     Raises:
         ValueError: the policies were not run on the same contexts and seeds.
@@ -202,7 +202,7 @@ def share_of_lead(table: pd.DataFrame, policy: str, best: str = BEST, bar: str =
 
 
 def summarise(table: pd.DataFrame) -> pd.DataFrame:
-    """For every policy and KPI: mean, interval, interquartile mean and worst value."""
+    """Rows for every policy and KPI: mean, interval, interquartile mean and worst value, in the unit of its column."""
     rows = []
     for policy in dict.fromkeys(table["policy"]):
         part = table[table["policy"] == policy]

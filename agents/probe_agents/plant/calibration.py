@@ -157,6 +157,15 @@ def read_cases(
 ) -> list[Case]:
     """Read the logs and assign their tubes; all arguments are checked before the first log is read.
 
+    Args:
+        paths: log files.
+        plant: scene, and the diameters of its helices.
+        helix_diameters: [m], one for all logs, one each, or none for those of the plant.
+        tubes: name of the tube of each log; logs of one tube share its friction. Empty: one tube a diameter.
+        columns: HEAD=QUANTITY[UNIT], as of ``probe-env log``.
+        missing: markers of missing values.
+        time_format: form of the times, such as %H:%M.
+
     Raises:
         FileNotFoundError: no such file.
         ValueError: a log cannot be read; the number of diameters or names differs from that of the logs; a diameter is
@@ -208,6 +217,13 @@ def calibrate(
     cases: Sequence[Case], plant: Plant, response: Response, file: str = "tube", progress: bool = True
 ) -> Calibration:
     """Estimate the friction of each tube, and the stiffness, drag and damping that all tubes share.
+
+    Args:
+        cases: logs, see ``read_cases``.
+        plant: its known values are fixed; its distributions are priors.
+        response: see ``stored_response``.
+        file: name of the plant in errors.
+        progress: show a progress bar.
 
     Raises:
         ValueError: a log has too few metres or no channel, or a value of the plant is outside the training ranges.

@@ -121,7 +121,7 @@ class Normalisation(Model):
 
 
 class Description(Model):
-    """Metadata of a bundle."""
+    """Metadata of a bundle: what the agent observes, for which task and tubes it was trained, and how."""
 
     format: Literal[1] = 1
     algorithm: Algorithm

@@ -90,7 +90,7 @@ class FixedPolicy(ObservationPolicy):
 
 @dataclass
 class Constant(FixedPolicy):
-    """Constant feed and air; by default the study's."""
+    """Constant feed [m/s] and air supply rate [m3/s]; by default the study's."""
 
     feed_speed: float = STUDY_FEED
     air_supply_rate: float = STUDY_AIR
@@ -103,7 +103,7 @@ class Constant(FixedPolicy):
 
 @dataclass
 class Scheduled(FixedPolicy):
-    """A schedule over time or inserted length."""
+    """Feed and air of a ``Schedule`` at the time [s] or the inserted length [m]."""
 
     schedule: Schedule = field(default_factory=lambda: Schedule("time", "steps", (0.0,), (STUDY_FEED,), (STUDY_AIR,)))
 

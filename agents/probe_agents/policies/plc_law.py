@@ -50,7 +50,7 @@ STORED_TRIM: Final = Path(__file__).parent / "data" / "trimmed-law.json"
 
 
 class Constants(Model):
-    """The ten constants."""
+    """The ten constants of the PLC law; those without a unit are exponents or ratios."""
 
     average: Annotated[float, quantity(1.0, 1000.0, "s")] = 15.0
     """Time constant of the averages of friction and noise."""
@@ -160,7 +160,7 @@ def law_at(
 
 @dataclass
 class PlcProportional(FixedPolicy):
-    """Applies the law. Memory: averages of friction and of the logarithm of the noise."""
+    """The PLC law as a policy. Memory: averages of friction and of the logarithm of the noise."""
 
     constants: Constants = field(default_factory=read_constants)
     memory: ClassVar[int] = 2

@@ -33,7 +33,10 @@ UNITS = dict(zip(CONTEXT, ("", " N/m", "", " m"), strict=True))
 
 
 class Policy(Controller, Protocol):
-    """SB3's ``predict``, and a description that is equal for equal policies."""
+    """``predict`` of Stable-Baselines3: observations (N, n) to actions (N, 2), both scaled; and a description.
+
+    Descriptions are equal for equal policies.
+    """
 
     def describe(self) -> dict[str, Any]:
         """JSON-ready description."""
