@@ -43,9 +43,6 @@ class ProbeVecEnv(VecEnv):
         env_id: a key of ``ENVIRONMENTS``.
         num_envs: N; environment i equals a single one with the seed ``seed + i``.
         config, settings: as ``gymnasium.make_vec``, see ``ProbeVectorEnv``.
-
-    Raises:
-        ValueError: an argument is not valid.
     """
 
     def __init__(

@@ -161,7 +161,7 @@ def test_a_manual_drive_is_a_policy_of_the_evaluation(queue, tube, tmp_path):
 
 def test_invalid_requests_fail_with_the_message_of_the_command(queue, tube, tmp_path):
     for changes, message in (
-        ({"policies": ("nobody",)}, "policy = 'nobody' is not one of"),
+        ({"policies": ("nobody",)}, "unknown policy 'nobody'"),
         ({"limit": 49}, "limit = 49 is outside the accepted range 0 (all) to 48"),
         ({"fidelity": "quick"}, "fidelity = 'quick' is not one of"),
         ({"tube": "nowhere.toml"}, "no such file: nowhere.toml"),

@@ -21,6 +21,7 @@ EXAMPLES = [
     for page, text in sorted(PAGES.items())
     for k, example in enumerate(re.findall(r"```python\n(.*?)```", text, re.DOTALL))
     if not re.search(r"from (ray|minari)\b", example)  # tests/ray and tests/libraries run these
+    and page != "README.md"  # tests/training/test_recipe.py
 ]
 PACKAGES = (
     "probe_env", "probe_env.envs", "probe_env.physics", "probe_agents.policies", "probe_agents.evaluation",

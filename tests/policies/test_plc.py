@@ -238,7 +238,7 @@ def test_law_warns_of_a_plant_outside_its_range(tmp_path):
             "3.25 N: the law's least air, 45 m3/h, is for",
         ),
         ("[task]\nrequired_tension = 2.5\n", "2.5 N: the law's least air, 45 m3/h, is for 0.8 N"),
-        ("[tube]\ninner_diameter = 22.5e-3\n", "the law was not made for these tubes: inner_diameter = 0.0225 m"),
+        ("[tube]\ninner_diameter = 22.5e-3\n", "the law runs outside its range: inner_diameter 0.0225 m (0.0242 m)"),
     ):
         file.write_text(text)
         case = load_case(file, "test")

@@ -130,7 +130,7 @@ def test_bad_files_name_file_field_and_value(tmp_path: Path, capsys: pytest.Capt
         ("level =", "levl ="): "pi has no parameter 'levl'; accepted: level, proportional",
         ("[3e-5, 6e-5]", '"low"'): "pi: level = 'low' is of another type",
         ('name = "pi"', 'nam = "pi"'): "a table of a policy needs a name",
-        ('"constant", ', '"constnt", '): "policy = 'constnt' is not one of",
+        ('"constant", ', '"constnt", '): "unknown policy 'constnt'",
         ('"constant", ', '"constant", "constant", '): "policies: constant occurs twice",
         ('{ policy = "constant" }', '{ policy = "slow" }'): "compare.baseline: policy = 'slow' is not one of constant",
         ('{ policy = "constant" }', '{ policy = "pi" }'): "the study has no row of policy = pi",

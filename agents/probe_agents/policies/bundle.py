@@ -151,9 +151,6 @@ class Agent(ObservationPolicy):
         policy: SB3's policy with its weights.
         config: task that it acts in; it may have more observations than the agent uses.
         hash: hash of the bundle, for ``describe``.
-
-    Raises:
-        ValueError: the task lacks an observation of the agent, or its actions have another meaning.
     """
 
     def __init__(self, description: Description, policy: BasePolicy, config: TaskConfig, hash: str = "") -> None:
@@ -324,11 +321,7 @@ def from_sb3(model: BaseAlgorithm, config: TaskConfig) -> Agent:
 
 
 def save_bundle(path: str | Path, model: BaseAlgorithm, config: TaskConfig) -> str:
-    """Write a model as a bundle (.safetensors), which every command accepts; returns its hash. See ``from_sb3``.
-
-    Raises:
-        ValueError: as ``from_sb3``, or the policy has arguments that a bundle cannot store.
-    """
+    """Write a model as a bundle (.safetensors), which every command accepts; returns its hash. See ``from_sb3``."""
     net_arch, activation = (model.policy_kwargs.get(name) for name in ("net_arch", "activation_fn"))
     unknown = sorted(set(model.policy_kwargs) - {"use_sde", *KNOWN}) + ["use_sde"] * model.use_sde
     if isinstance(net_arch, dict) and net_arch.get("pi") != net_arch.get("vf", net_arch.get("qf")):

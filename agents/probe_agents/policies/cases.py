@@ -44,12 +44,7 @@ class EvaluationCase(NamedTuple):
 
 
 def plant_at(plant_file: Path | None) -> Plant | None:
-    """Read a plant by its file, or by the name of a shipped one; None for None.
-
-    Raises:
-        FileNotFoundError: no such file or name.
-        ValueError: the file is not valid.
-    """
+    """Read a plant by its file, or by the name of a shipped one; None for None."""
     return None if plant_file is None else Plant.from_toml(file_or_shipped("tubes", plant_file))
 
 
@@ -69,12 +64,7 @@ def map_of(plant_file: Path | None, plant: Plant | None) -> VibrationMap:
 
 
 def with_probe(config: TaskConfig, name: str) -> TaskConfig:
-    """The task with a probe of ``configs/design/``; floats are limited by the bore, the cable by the helix.
-
-    Raises:
-        FileNotFoundError: no such design.
-        ValueError: no float fits, or the guide is not of whole pitches.
-    """
+    """The task with a probe of ``configs/design/``; floats are limited by the bore, the cable by the helix."""
     design = Design.from_toml(file_or_shipped("design", name)).cut_to(config.scene)
     design.check_whole_pitches()
     probe = design.probe(config.scene.probe)
@@ -100,10 +90,6 @@ def load_case(
         passes: "in", or "both" with twice the time limit; default: as in the plant's file.
         inspects: pass that is scored if passes = "both"; default: as in the file, or the better one.
         vibration: vibration map; default: the one next to the plant's file, else the shipped one.
-
-    Raises:
-        FileNotFoundError: no such file.
-        ValueError: an argument or a file is not valid.
     """
     label, most = TABLE_2, SPLIT_SIZES[split]
     if isinstance(plant, Path):

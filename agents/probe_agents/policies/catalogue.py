@@ -26,6 +26,7 @@ from probe_env.files import one_line
 from probe_env.schedule import Schedule
 
 SCHEDULES: Final = (".csv", ".toml", ".xlsx")
+FILES: Final = (*SCHEDULES, ".json", ".safetensors")
 DATA: Final = Path(__file__).parent / "data"
 STORED: Final = ("best-constant", "best-schedule")
 """Schedules found by ``probe-env study best-schedules``, in ``agents/probe_agents/policies/data/``."""
@@ -41,11 +42,7 @@ CLASS: Final = re.compile(r"(?P<module>[A-Za-z_][\w.]*):(?P<name>[A-Za-z_]\w*)")
 def named_policies(
     specs: Sequence[str], config: TaskConfig, vibration: VibrationMap | None = None, classes: bool = False
 ) -> dict[str, Policy]:
-    """Make policies from "NAME=SPEC" or "SPEC"; the keys are their names in tables.
-
-    Raises:
-        ValueError: no policy, a duplicate or invalid name, or as ``make_policy``.
-    """
+    """Make policies from "NAME=SPEC" or "SPEC"; the keys are their names in tables."""
     pairs = [name_and_spec(spec) for spec in specs]
     names = [name for name, _ in pairs]
     twice = sorted({name for name in names if names.count(name) > 1})
@@ -79,7 +76,7 @@ def _is_known(spec: str) -> bool:
 
 def _is_file(spec: str) -> bool:
     path = Path(spec.removeprefix(PREFIX))
-    return path.suffix in (*SCHEDULES, ".json", ".safetensors") and path.exists()
+    return path.suffix in FILES and path.exists()
 
 
 def is_schedule_file(argument: str) -> bool:
@@ -109,10 +106,6 @@ def make_policy(spec: str, config: TaskConfig, vibration: VibrationMap | None = 
         config: task.
         vibration: vibration map; default: the shipped one.
         classes: accept "module:Class", which imports code; False for specs from a file.
-
-    Raises:
-        ValueError: no such policy, or the file or class is not valid, or an agent does not fit the task.
-        FileNotFoundError: no such file.
     """
     if config.returns:
         return _round_trip(spec, config, vibration, classes)
@@ -151,11 +144,10 @@ def make_policy(spec: str, config: TaskConfig, vibration: VibrationMap | None = 
             raise ValueError(f"policy = {spec!r}: a class imports code, which specs from a file must not do")
         return _custom(config, **custom.groupdict())
     names = (*NAMES, *shipped_agents(), *shipped_names("schedules"))
-    similar = ", ".join(difflib.get_close_matches(spec, names))
+    similar = " or ".join(difflib.get_close_matches(spec, names))
     raise ValueError(
-        f"policy = {spec!r} is not one of {', '.join(names)}, nor a schedule ({', '.join(SCHEDULES)}), a feedback"
-        " law (.json), an agent's bundle (.safetensors) or a class (module:Class)"
-        + (f"; the closest: {similar}" if similar else "")
+        f"unknown policy {spec!r}." + f" Did you mean {similar}?" * bool(similar) + " `probe-env agents` lists all;"
+        f" files end with {', '.join(FILES)}, and a class is module:Class"
     )
 
 

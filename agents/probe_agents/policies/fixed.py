@@ -41,9 +41,6 @@ class FixedPolicy(ObservationPolicy):
         memory: size of the memory for each environment, besides the time.
         allow_standstill: whether a feed of 0 is a standstill instead of the slowest feed.
         needs: required observations, keys of ``NEEDED``.
-
-    Raises:
-        ValueError: the task lacks a required observation.
     """
 
     config: TaskConfig

@@ -91,12 +91,7 @@ M = TypeVar("M", bound=Model)
 
 
 def read_model(path: str | Path, model: type[M], what: str, key: str | None = None) -> M:
-    """Read a JSON file, or the value of one key in it, as a model; ``what`` names the content in errors.
-
-    Raises:
-        FileNotFoundError: no such file.
-        FileError: not JSON, or not valid; names every offending field.
-    """
+    """Read a JSON file, or the value of one key in it, as a model; ``what`` names the content in errors."""
     try:
         content = tuples(json.loads(read_text(Path(path), 8 * MEBI)))
         return model.model_validate(content if key is None else content[key])
@@ -138,9 +133,9 @@ class Domain:
         """Texts with field, value and range of everything in a task and its tubes that is outside the domain."""
         scene, deviations = config.scene, []
         if not math.isclose(scene.tube.inner_diameter, self.inner_diameter, rel_tol=1e-3):
-            deviations.append(f"inner_diameter = {scene.tube.inner_diameter:g} m, not {self.inner_diameter:g} m")
+            deviations.append(f"inner_diameter {scene.tube.inner_diameter:g} m ({self.inner_diameter:g} m)")
         if scene.tube.helix_length > self.helix_length * (1.0 + 1e-9):
-            deviations.append(f"helix_length = {scene.tube.helix_length:g} m, beyond {self.helix_length:g} m")
+            deviations.append(f"helix_length {scene.tube.helix_length:g} m (up to {self.helix_length:g} m)")
         if self.probe is not None and scene.probe != self.probe:
             names = (name for name in Probe.model_fields if getattr(scene.probe, name) != getattr(self.probe, name))
             deviations.append(f"probe: different {', '.join(names)}")
@@ -150,7 +145,8 @@ class Domain:
             least, most = min(values), max(values)
             slack = max(TOLERANCE * (high - low), 1e-3 * high)
             if least < low - slack or most > high + slack:
-                deviations.append(f"{name} = {least:g} to {most:g}{unit}, beyond {low:g} to {high:g}{unit}")
+                values_text = f"{least:g}" if least == most else f"{least:g} to {most:g}"
+                deviations.append(f"{name} {values_text}{unit} ({low:g} to {high:g}{unit})")
         return deviations
 
 
@@ -173,8 +169,7 @@ def check_domains(
     for name, domain in domains.items():
         deviations = domain.outside(config, contexts) if domain else []
         if deviations:
-            text = f"{name} was not made for these tubes: {'; '.join(deviations)}"
+            text = f"{name} runs outside its range: {'; '.join(deviations)}"
             if strict:
-                hint = "Make a map of them (probe-env study vibration-map --tube), or leave out --strict"
-                raise ValueError(f"{text}. {hint}")
+                raise ValueError(f"{text}. Leave out --strict to run it")
             warnings.warn(text, OutsideDomain, stacklevel=2)

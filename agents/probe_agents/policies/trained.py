@@ -23,12 +23,7 @@ RESTORE: Final = "restore the file, or train again"
 
 
 def read_weights(path: Path) -> tuple[str, str, dict[str, npt.NDArray[Any]]]:
-    """Read description (JSON text), hash and weights of a bundle.
-
-    Raises:
-        FileNotFoundError: no such file.
-        FileError: not a safetensors file with description and hash.
-    """
+    """Read description (JSON text), hash and weights of a bundle."""
     content = read_bytes(path, MOST_BYTES)
     try:
         weights = safetensors.numpy.load(content)  # checks the header, which begins with its length
@@ -39,11 +34,7 @@ def read_weights(path: Path) -> tuple[str, str, dict[str, npt.NDArray[Any]]]:
 
 
 def print_agents() -> None:
-    """Print a paragraph for each shipped agent.
-
-    Raises:
-        FileError: a bundle or a training file is not valid.
-    """
+    """Print a paragraph for each shipped agent."""
     for name, seeds in shipped_agents().items():
         path = Path(policy_file(name))
         text, _, _ = read_weights(path)
@@ -54,29 +45,20 @@ def print_agents() -> None:
             raise FileError(path, f"not a bundle of this version: {error}") from error
         training = read_toml(file_or_shipped("train", name))
         environment, (slow, fast) = training.get("environment", {}), task.feed_speeds
-        probes = "any probe of the design space" if environment.get("probes") == "random" else "the study's probe"
-        least, most = (3600.0 * max(rate, view.least_air_supply_rate) for rate in task.air_supply_rates)
+        low, high = (3600.0 * max(rate, view.least_air_supply_rate) for rate in task.air_supply_rates)
+        extra = {
+            "properties of the probe": set(PROBE) <= set(view.observations),
+            "direction": "way" in view.observations,
+            "friction estimated from the root tension": view.friction_estimate,
+            f"averages over {', '.join(f'{seconds:g}' for seconds in view.averages)} s": bool(view.averages),
+        }
         teacher = training.get("imitation", {}).get("teacher", "")
         print(name)
         print_terms({
-            "seeds": f"{', '.join(map(str, seeds))} of training, as {name}@{seeds[-1]};"
-            f" {name} alone is {name}@{DEFAULT_SEED}",
-            "sees": _observations(view),
-            "trained for": f"{environment.get('env_id', 'probe_env/Insertion-v1')} with {probes} in the"
-            f" {environment.get('contexts', 'train')} tubes; feeds {slow:g} to {fast:g} m/s,"
-            f" blows {least:g} to {most:g} m3/h",
-            "imitated": f"{teacher} first, then learnt by itself" if teacher else "nothing",
+            "seeds": f"{', '.join(map(str, seeds))}: {name}@{seeds[-1]}; {name} is {name}@{DEFAULT_SEED}",
+            "observes": ", ".join(["what a rig measures", *(text for text, used in extra.items() if used)]),
+            "environment": f"{environment.get('env_id', 'probe_env/Insertion-v1')}, tubes of"
+            f" {environment.get('contexts', 'train')}, probes: {environment.get('probes', 'scene')};"
+            f" feed {slow:g} to {fast:g} m/s, air {low:g} to {high:g} m3/h",
+            "training": f"imitation of {teacher}, then PPO" if teacher else "PPO",
         })  # fmt: skip
-
-
-def _observations(view: View) -> str:
-    averages = " and ".join(f"{seconds:g}" for seconds in view.averages)
-    tension = "the root tension" + (" and the friction that it suggests" if view.friction_estimate else "")
-    parts = [
-        "lengths, feed, air, accelerations, eddy-current noise, helix diameter",
-        tension if "root_tension" in view.observations else "not the root tension",
-        "which probe was built" if set(PROBE) <= set(view.observations) else "not which probe was built",
-        "whether it is drawn back" if "way" in view.observations else "",
-        f"averages of all that over {averages} s" if averages else "",
-    ]
-    return "; ".join(filter(None, parts))

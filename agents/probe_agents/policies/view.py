@@ -67,11 +67,7 @@ class View(Model):
         return features, gym.spaces.Box(-1.0, 1.0, (2,), dtype=np.float32)
 
     def columns(self, config: TaskConfig) -> list[int]:
-        """Indices of its observations among the task's.
-
-        Raises:
-            ValueError: the task lacks one of them, or its most air is not above ``least_air_supply_rate``.
-        """
+        """Indices of its observations among the task's."""
         names = list(config.observations)
         missing = [name for name in self.observations if name not in names]
         if missing:

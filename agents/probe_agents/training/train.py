@@ -89,11 +89,7 @@ def train_all(
 
 
 def prepare(training: Training, output: Path, resume: bool, origin: dict[str, Any]) -> dict[int, Path]:
-    """Check the folder of every seed, then write ``run.json`` in each.
-
-    Raises:
-        ValueError: as ``train_all``; nothing was written.
-    """
+    """Check the folder of every seed, then write ``run.json`` in each."""
     folders = {seed: output / f"seed-{seed}" for seed in training.seeds}
     settings, teacher = training.model_dump(mode="json"), training.teacher
     runs: dict[Path, dict[str, Any]] = {}

@@ -119,11 +119,7 @@ def _contains(distribution: BaseDistribution, value: Any) -> bool:
 
 
 def search(tuning: Tuning, trials: int, output: Path) -> optuna.Study:
-    """Run or continue a search in a folder; each trial adds a row to trials.csv.
-
-    Raises:
-        FileError: the folder holds another search, or a damaged one.
-    """
+    """Run or continue a search in a folder; each trial adds a row to trials.csv."""
     output.mkdir(parents=True, exist_ok=True)
     study, origin = open_study(output / JOURNAL, "tuning", ["maximize"], tuning.space), made_by()
     if "search" in study.user_attrs:
@@ -203,10 +199,6 @@ def run_tuning(training: Training, trials: int, phases: int | None, output: Path
         phases: phases of a trial, after the warm start; None: half of the file's.
         output: folder; a search in it is continued.
         seed: seed of the search.
-
-    Raises:
-        ValueError: an argument is not valid, the folder holds another search, or another process works in it.
-        RuntimeError: all trainings failed.
     """
     if training.phases < 1:
         raise ValueError("phases = 0 in the training file: a search needs at least one after the warm start")
