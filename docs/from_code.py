@@ -1,4 +1,4 @@
-"""What pages take from the code at build time: docstrings, fields with their ranges, methods, presets.
+"""What pages take from the code at build time: docstrings, fields with their ranges, methods.
 
 A line ``<!-- from code: WHAT NAME -->`` of a page is replaced by what the function ``WHAT`` says of ``NAME``.
 """
@@ -17,7 +17,6 @@ from sphinx.application import Sphinx
 from sphinx.util.typing import stringify_annotation
 
 from probe_env import Scene
-from probe_env.fidelity import PRESETS, Fidelity, time_lapse_text
 from probe_env.physics.methods import METHODS
 from probe_env.settings import Model, range_of
 
@@ -61,25 +60,7 @@ def methods() -> str:
     return _table(header.split(","), rows)
 
 
-def presets() -> str:
-    """What the names of a fidelity stand for."""
-    rows = (
-        (f"`{name}`", f"`{f.method}`", f"{f.time_step:g} s", str(f.nodes_per_pitch), _lapse(f))
-        if f.simulates
-        else (f"`{name}`", "the vibration map, no simulation", "-", "-", "-")
-        for name, f in PRESETS.items()
-    )
-    return _table(("preset", "method", "time step", "nodes a pitch", "time-lapse"), rows)
-
-
-def _lapse(fidelity: Fidelity) -> str:
-    return time_lapse_text(fidelity).removeprefix("time-lapse ") or "none"
-
-
-MAKERS: Final[dict[str, Callable[..., str]]] = {f.__name__: f for f in (docstring, fields, methods, presets)}
-
-_kept: dict[str, list[str]] = {}
-"""Docstrings of attributes as they are in the source."""
+MAKERS: Final[dict[str, Callable[..., str]]] = {f.__name__: f for f in (docstring, fields, methods)}
 
 
 def _found(name: str) -> Any:
@@ -116,8 +97,6 @@ def _expand(app: Sphinx, document: str, source: list[str]) -> None:
 
     def filled(match: re.Match[str]) -> str:
         what, name = match.groups()
-        if what not in MAKERS:
-            raise ValueError(f"{document}: {what!r} is not one of {', '.join(MAKERS)}")
         return MAKERS[what](name) if name else MAKERS[what]()
 
     source[0], count = PLACE.subn(filled, source[0])
@@ -138,22 +117,8 @@ def _plain(text: str | None) -> str | None:
     return NDARRAY.sub(r"~numpy.typing.NDArray[\1]", text.replace(ARRAY_LIKE, "ArrayLike")) if text else text
 
 
-def _keep(app: Sphinx, what: str, name: str, obj: Any, options: Any, lines: list[str]) -> None:
-    """Before Napoleon, which takes what is before a colon in an attribute's docstring for its type."""
-    if what in ("attribute", "property"):
-        _kept[name] = lines[:]
-
-
-def _put_back(app: Sphinx, what: str, name: str, obj: Any, options: Any, lines: list[str]) -> None:
-    """After Napoleon."""
-    if name in _kept:
-        lines[:] = _kept.pop(name)
-
-
 def setup(app: Sphinx) -> dict[str, Any]:
     """Take part in the build."""
     app.connect("source-read", _expand)
     app.connect("autodoc-process-signature", _signature)
-    app.connect("autodoc-process-docstring", _keep, priority=400)
-    app.connect("autodoc-process-docstring", _put_back, priority=600)
     return {"parallel_read_safe": True}

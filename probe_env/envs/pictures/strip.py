@@ -57,7 +57,7 @@ class Motion:
 
     @property
     def on_inner_wall(self) -> BoolArray:
-        """(k, n) floats that press on the inner wall: the contact of the model."""
+        """(k, n) floats that press on the inner wall, the contact of the model."""
         return self.floats & (self.radial < 0.0)
 
     @property
