@@ -9,10 +9,11 @@ import pytest
 from scipy.signal import get_window
 
 from probe_agents.records.store import stored_rows
-from probe_agents.studies.claims import cases, claims_of, run
-from probe_agents.studies.claims.cases import (
+from probe_agents.studies import claims
+from probe_agents.studies.claims import (
     CASES,
     TRIPS,
+    claims_of,
     highest_peak,
     insertion_of,
     load_rows,
@@ -27,9 +28,9 @@ NAMED = {case.name: case for case in CASES}
 
 
 def test_claims_are_computed_from_the_stored_runs():
-    claims = claims_of(TABLE)
+    computed = claims_of(TABLE)
     stored = pd.read_csv(ROOT / "results" / "study" / "claims.csv", dtype={"figure": str})
-    pd.testing.assert_frame_equal(claims, stored, rtol=1e-3)
+    pd.testing.assert_frame_equal(computed, stored, rtol=1e-3)
     assert claims_of(TABLE[TABLE["case"].isin(["l10", "l30"])])["case"].tolist() == ["l30"]
 
 
@@ -85,22 +86,22 @@ def test_a_short_trip_slides_as_the_closed_form_and_is_repeated(withdrawn):
 
 def test_runs_are_stored_and_not_repeated(tmp_path, monkeypatch, capsys):
     chosen = tuple(NAMED[name] for name in ("l10", "original-l10-u200-in"))
-    monkeypatch.setattr("probe_agents.studies.claims.CASES", chosen)
-    monkeypatch.setattr(cases, "DURATION", 0.5)
-    run(tmp_path)
+    monkeypatch.setattr(claims, "CASES", chosen)
+    monkeypatch.setattr(claims, "DURATION", 0.5)
+    claims.run(tmp_path)
     first = stored_rows(tmp_path / "ensemble.csv")
-    original, ran = cases.run_case, []
+    original, ran = claims.run_case, []
     monkeypatch.setattr(
-        cases, "run_case", lambda case, *rest: ran.append((case.name, rest[0])) or original(case, *rest)
+        claims, "run_case", lambda case, *rest: ran.append((case.name, rest[0])) or original(case, *rest)
     )
-    run(tmp_path, trials=2)
+    claims.run(tmp_path, trials=2)
     assert sorted(ran) == [("l10", 1), ("original-l10-u200-in", 1)]
     second = stored_rows(tmp_path / "ensemble.csv")
     assert len(second) == 4
     merged = second[second["member"] == 0].sort_values("case").reset_index(drop=True)
     pd.testing.assert_frame_equal(merged[first.columns], first.sort_values("case").reset_index(drop=True))
-    monkeypatch.setattr(cases, "DURATION", 0.6)
-    run(tmp_path, limit=1)  # of another duration: the first stay
+    monkeypatch.setattr(claims, "DURATION", 0.6)
+    claims.run(tmp_path, limit=1)  # of another duration: the first stay
     assert len(stored_rows(tmp_path / "ensemble.csv")) == 5
     assert pd.read_csv(tmp_path / "claims.csv")["case"].tolist() == []
     assert "Claims: 1 run(s) per case, 0.6 s each" in capsys.readouterr().out

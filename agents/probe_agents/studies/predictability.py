@@ -27,7 +27,7 @@ from probe_agents.records.drawing import GREY, GRID, PALETTE, save
 from probe_agents.records.manifest import write_manifest
 from probe_agents.records.store import Store
 from probe_agents.studies.builtin import print_frame
-from probe_agents.studies.claims.cases import PERTURBATION
+from probe_agents.studies.claims import PERTURBATION
 from probe_agents.terminal.tables import print_line
 from probe_env import Scene, SimulatorBatch, TaskConfig
 from probe_env.arrays import FloatArray

@@ -32,7 +32,7 @@ from probe_agents.records.atomic import write_atomically
 from probe_agents.records.drawing import GREY, save
 from probe_agents.records.manifest import write_manifest
 from probe_agents.studies.builtin import print_frame
-from probe_agents.studies.chart.ensembles import STIFFNESSES
+from probe_agents.studies.chart import STIFFNESSES
 from probe_agents.terminal.tables import print_line
 from probe_env import Scene, SimulationError, Simulator, StabilityWarning
 from probe_env.arrays import FloatArray

@@ -7,7 +7,7 @@ from oracles.orders import observed_order
 from scipy.linalg import eigh, expm
 from scipy.stats import linregress
 
-from probe_agents.studies.chart.smooth import cases
+from probe_agents.studies.smooth import cases
 from probe_env.physics.closed_forms.bare_chains import run_chain
 from probe_env.physics.methods import METHODS
 from probe_env.physics.methods.newmark import newmark, wilson

@@ -10,7 +10,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import product
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -36,7 +35,8 @@ from probe_env.physics.model.state import State, at_rest
 LONG = (5e-4, 2e-4, 1e-4, 5e-5, 2e-5, 1e-5, 5e-6)  # [s]
 REFERENCES = (("imex", 1e-7), ("explicit", 1e-7))
 """Methods and steps [s] for the scene without a closed form."""
-COLUMNS = ("scene", "method", "time_step_s", "error", "cpu_s", "sweeps")
+SMOOTH_KEYS = ("scene", "method", "time_step_s")
+COLUMNS = (*SMOOTH_KEYS, "error", "cpu_s", "sweeps")
 REFERENCE_ROWS = "references"
 """Value of the column ``method`` for the difference of the two references."""
 LAPACK_STEPS = 3
@@ -158,12 +158,11 @@ def integrate(case: Case, method: str, time_step: float) -> tuple[FloatArray | N
     return run.samples[:, case.point[1]], fastest / case.duration, run.sweeps / case.duration
 
 
-def run_smooth(output: Path) -> pd.DataFrame:
+def run_smooth(store: Store) -> pd.DataFrame:
     """Rows of scene, method, time_step_s, error (NaN: diverged), cpu_s and sweeps per simulated second.
 
-    The scene without a closed form has a row ``REFERENCE_ROWS``. Stored rows of smooth.csv are not run again.
+    The scene without a closed form has a row ``REFERENCE_ROWS``. Stored rows are not run again.
     """
-    store = Store(output / "smooth.csv", COLUMNS[:3])
     cells = [
         (name, method, dt)
         for name, case in cases().items()
