@@ -128,19 +128,6 @@ def test_the_command_writes_what_the_rig_would(tmp_path, capsys):
     assert "not passed: the flaw at 30 m; the sensor moved from 2.50 to 4.5" in said
 
 
-def test_signal_checks_arguments_first(tmp_path, capsys):
-    for asked, message in (
-        (["--flaws", "30"], "flaws: '30' is not POSITION:DEPTH"),
-        (["--flaws", "70:20"], "flaws: position of '70:20' = 70.0 m is outside the accepted range 0 to 60 m"),
-        (["--flaws", "30:200"], "flaws: depth of '30:200' = 200.0 % is outside the accepted range 0.1 to 100 %"),
-        (["--context", "48"], "context = 48 is outside the accepted range 0 to 47"),
-        (["--until", "70"], "until = 70.0 m is outside the accepted range 5 to 60 m"),
-    ):
-        assert main(["signal", "constant", "--output", str(tmp_path / "out"), *asked]) == 2
-        assert message in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()
-
-
 def test_filter_uses_the_noise_of_its_own_segment():
     """Silence but for a quarter of a second of 14 Hz: the second with the burst in its middle is that of its stretch.
 

@@ -250,11 +250,6 @@ def test_law_warns_of_a_plant_outside_its_range(tmp_path):
     assert caught[0].category is OutsideDomain
 
 
-def test_a_table_of_the_trimmed_law_is_refused(tmp_path, capsys):
-    assert main(["plc", "--trimmed", "--csv", str(tmp_path / "law.csv")]) == 2
-    assert "trimmed = True needs --st" in capsys.readouterr().err
-
-
 @pytest.mark.parametrize("option", ["--st", "--csv"])
 def test_a_law_is_printed_alone_if_its_file_is_standard_output(tmp_path, capsys, option):
     assert main(["plc", option, str(tmp_path / "law")]) == 0

@@ -303,22 +303,6 @@ def test_options_take_the_place_of_the_file_s(tmp_path: Path) -> None:
         study.changed(49, (), (), None)
 
 
-def test_unknown_studies_and_options_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    cases = [
-        ("robustnes", "robustness"), ("--no-list", "study --list"), ("turning --trials 3", "trials = 3"),
-        ("response --trials 3", "trials = 3: this study"), ("stability --fidelity fast", "fidelity = fast"),
-        ("claims --trials 0", "trials = 0 is outside the accepted range 1 to 1000"),
-        ("best-round-trip --limit 97", "limit = 97 is outside the accepted range 1 to 96"),
-        ("best-schedules --trials 0", "trials = 0 is outside"), ("vibration-map --trials 0", "trials = 0 is outside"),
-        ("learning --fidelity standard", "fidelity = standard: the recipe"),
-        ("plc-constants --limit 0", "limit = 0 is outside"), ("response --limit 0", "limit = 0 is outside"),
-    ]  # fmt: skip
-    for arguments, message in cases:
-        assert main(["study", *arguments.split(), "--output", str(tmp_path / "out")]) == 2
-        assert message in " ".join(capsys.readouterr().err.split())
-    assert not (tmp_path / "out").exists()
-
-
 @pytest.mark.slow
 def test_policies_of_a_plant_are_recommended_for_it(tmp_path: Path) -> None:
     """``recommended`` differs between plants and is the same for the same plant."""
