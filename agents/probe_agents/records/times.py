@@ -65,9 +65,6 @@ class _Names(parserinfo):  # type: ignore[misc]
     ]
 
 
-_NAMES: Final = _Names()
-
-
 def are_serial_days(times: FloatArray) -> bool:
     """Whether times (n,) are days of Excel or catman (1982 to 2064) or of MATLAB.
 
