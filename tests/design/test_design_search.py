@@ -70,16 +70,6 @@ def test_interrupted_search_equals_an_uninterrupted_one(tmp_path, whole):
     assert not whole.equals(run(tmp_path / "other", 30, seed=1))
 
 
-@pytest.mark.slow
-def test_search_killed_at_any_trial_gives_the_same_result(tmp_path, whole):
-    """Each run is killed in its fourth trial, by turns asked and judged but not yet told, and just told."""
-    kills = 0
-    while killed_at("optuna.study.Study.tell", 4, run, tmp_path, 30, after=kills % 2 == 1):
-        kills += 1
-    assert kills >= 8  # by turns three and four more of 30 trials are told, or fewer and one that a kill left
-    assert run(tmp_path, 30).equals(whole)
-
-
 @pytest.mark.parametrize(("point", "after"), [("os.symlink", True), ("os.fsync", False), ("os.fsync", True)])
 def test_search_killed_while_creating_its_journal_continues(point, after, tmp_path, whole, monkeypatch):
     """With Optuna's lock taken, before and after the first record is on the disk."""

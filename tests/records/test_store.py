@@ -28,7 +28,7 @@ def test_rows_are_found_again_and_may_be_replaced(path):
 def test_rows_of_another_commit_are_refused_and_stay(path, monkeypatch):
     before = path.read_bytes()
     monkeypatch.setattr(module, "commit", lambda: "bbb")
-    with pytest.raises(ValueError, match=r"rows\.csv: made by aaa, not by bbb.*choose another folder"):
+    with pytest.raises(ValueError, match=r"the code changed since these rows were simulated \(commit aaa, now bbb"):
         Store(path, ("method", "k"))
     assert path.read_bytes() == before
     assert stored_rows(path)["value"].tolist() == [2.0, 3.0, 4.0]

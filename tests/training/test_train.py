@@ -3,6 +3,8 @@
 An agent of both passes acts on both, and nowhere else.
 """
 
+import hashlib
+import io
 import json
 import shutil
 from pathlib import Path
@@ -27,7 +29,7 @@ from probe_agents.records.result_folder import run_lock
 from probe_agents.records.shipped import file_or_shipped
 from probe_agents.training import train as training_module
 from probe_agents.training.config import Training
-from probe_agents.training.train import BEST, CHECKPOINT, CURVE, RUN, VALIDATED, train_all
+from probe_agents.training.train import BEST, CHECKPOINT, CURVE, DIGEST, RUN, VALIDATED, train_all
 from probe_env import Fidelity, Plant, load_contexts
 from probe_env.design import RANGES
 from probe_env.envs.task import TaskConfig
@@ -92,7 +94,7 @@ def test_resumed_equals_never_stopped(run, tmp_path):
     resumed = train_all(Training(**PPO), run, resume=True)
     assert (whole[COLUMNS] == resumed[COLUMNS]).all(axis=None)
     assert equal_weights(tmp_path / "whole", run)
-    assert len(json.loads((run / "seed-0" / RUN).read_text())["resumed"]) == 1
+    assert json.loads((run / "seed-0" / RUN).read_text())["config"]["phases"] == 2
     agent = load_bundle(run / "seed-0" / BEST)
     action, _ = agent.predict(np.full(len(agent.config.observations), 0.5, dtype=np.float32), deterministic=True)
     assert (np.abs(action) <= 1.0).all()
@@ -130,7 +132,7 @@ def test_training_continues_after_stops_and_kills(tmp_path, monkeypatch):
         assert pd.read_csv(folder / "seed-0" / CURVE)["phase"].tolist() == [1, 2]
 
 
-def test_an_existing_run_is_not_overwritten_nor_mixed(run, tmp_path):
+def test_an_existing_run_is_not_overwritten_nor_mixed(run, tmp_path, monkeypatch):
     folder = tmp_path / "other" / "seed-0"
     with run_lock(folder), pytest.raises(ValueError, match="seed-0: another process is working there"):
         train_all(Training(**PPO), folder.parent, resume=False)
@@ -142,10 +144,14 @@ def test_an_existing_run_is_not_overwritten_nor_mixed(run, tmp_path):
     for settings, resume, message in (
         (ONE, False, "continue it with --resume"),
         (ONE | {"seeds": (7, 0)}, False, "continue it with --resume"),
-        (other, True, r"other settings \(learning\)"),
+        (other, True, r"this agent was trained with other settings \(config\.learning\.batch_size 32, now 16; also"),
     ):
         with pytest.raises(ValueError, match=message):
             train_all(Training(**settings), run, resume=resume)
+    with monkeypatch.context() as patch:
+        patch.setattr("probe_agents.records.manifest.commit", lambda: "0123456789ab")
+        with pytest.raises(ValueError, match=r"since this agent was trained \(commit .*, now 0123456789ab"):
+            train_all(Training(**ONE), run, resume=True)
     assert not (run / "seed-7").exists()
     assert (run / "seed-0" / CHECKPOINT).read_bytes() == before
 
@@ -166,10 +172,22 @@ def not_refused(damages, path, run):
 
 
 def changed(change):
+    """Damage that the checksum does not show."""
+
     def damage(path):
-        state = torch.load(path, weights_only=True)
-        change(state)
-        torch.save(state, path)
+        state = torch.load(io.BytesIO(path.read_bytes()[DIGEST:]), weights_only=True)
+        other, content = change(state), io.BytesIO()
+        torch.save(state if other is None else other, content)
+        path.write_bytes(hashlib.sha256(content.getvalue()).digest() + content.getvalue())
+
+    return damage
+
+
+def flipped(position):
+    def damage(path):
+        content = bytearray(path.read_bytes())
+        content[position % len(content)] ^= 1 << position % 8
+        path.write_bytes(content)
 
     return damage
 
@@ -181,23 +199,25 @@ def first_weight(state, value):
 
 CHECKPOINTS = {name: ANYWHERE[name] for name in ("pipe", "folder", "huge", "empty", "binary")} | {
     "a byte short": lambda path: path.write_bytes(path.read_bytes()[:-1]),
-    "a list": lambda path: torch.save([1], path),
-    "code": lambda path: torch.save(Poison(path.with_name("victim")), path),
+    **{f"bit of byte {k}": flipped(k) for k in np.random.default_rng(0).integers(1 << 20, size=20).tolist()},
+    "a list": changed(lambda state: [1]),
     "another network": changed(lambda state: first_weight(state, lambda _: torch.zeros(3, 3))),
-    "fewer weights": changed(lambda state: state["parameters"]["policy"].popitem()),
+    "fewer weights": changed(lambda state: state["parameters"]["policy"].clear()),
     "NaN": changed(lambda state: first_weight(state, lambda old: old * float("nan"))),
-    "no optimiser": changed(lambda state: state["parameters"].pop("policy.optimizer")),
+    "no optimiser": changed(lambda state: state["parameters"].update({"policy.optimizer": None})),
     "another count": changed(lambda state: state.update(steps=7)),
     "no rows": changed(lambda state: state.update(rows=[])),
-    "another seed": changed(lambda state: [row.update(seed=3) for row in state["rows"]]),
+    "another seed": changed(lambda state: state["rows"][0].update(seed=3)),
 }
 
 
 def test_damaged_files_are_named_and_nothing_in_them_is_run(run):
     notes = JSON | {"missing": lambda path: path.unlink(), "another": lambda path: path.write_text('{"seed": 0}')}
     assert not_refused(notes, run / "seed-0" / RUN, run) == []
-    assert not_refused(CHECKPOINTS, run / "seed-0" / CHECKPOINT, run) == []
-    assert not (run / "seed-0" / "victim").exists()
+    victim = run / "seed-0" / "victim"
+    code = {"code": changed(lambda state: Poison(victim))}
+    assert not_refused(CHECKPOINTS | code, run / "seed-0" / CHECKPOINT, run) == []
+    assert not victim.exists()
 
 
 @pytest.mark.slow

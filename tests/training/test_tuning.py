@@ -1,21 +1,17 @@
 """The search for hyperparameters: interrupted equals uninterrupted, poor trainings end early, the result is a file."""
 
 import json
-import os
-import signal
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
-from kills import killed_at
 
 from probe_agents.cli import main
 from probe_agents.records.result_folder import run_lock
 from probe_agents.records.shipped import file_or_shipped
 from probe_agents.training import tuning as module
 from probe_agents.training.config import Training
-from probe_agents.training.train import CHECKPOINT, RUN
 from probe_agents.training.tuning import ROLLOUT, SPACE, STARTUP_TRIALS, Tuning, search
 from probe_env.files import FileError
 
@@ -142,25 +138,6 @@ def test_often_interrupted_tuning_equals_an_uninterrupted_one(tmp_path, whole, m
     pd.testing.assert_frame_equal(table_of(tmp_path), table_of(whole), check_exact=True)
 
 
-def _search(folder):
-    search(tuning_of(folder), 2, folder)
-
-
-@pytest.mark.slow
-def test_killed_in_a_training_it_goes_on_from_its_checkpoint(tmp_path):
-    """Trainings as they are: killed when the first of two phases of the second trial is stored."""
-    for name in ("whole", "killed"):
-        (tmp_path / name).mkdir()
-    _search(tmp_path / "whole")
-    folder, place = tmp_path / "killed", tmp_path / "killed" / "trials" / "0001" / "seed-3"
-    assert killed_at("probe_agents.training.train.save_checkpoint", 3, _search, folder, after=True)
-    assert (place / CHECKPOINT).exists()
-    _search(folder)
-    pd.testing.assert_frame_equal(table_of(folder), table_of(tmp_path / "whole"), check_exact=True)
-    assert len(json.loads((place / RUN).read_text())["resumed"]) == 1
-    assert not list(folder.glob(f"trials/*/seed-*/{CHECKPOINT}"))  # trials that ended need none
-
-
 def test_failed_training_is_reported_and_search_continues(tmp_path, monkeypatch, capsys):
     def breaking(training, folder, origin, seed, position, watch):
         if training.learning.learning_rate > 1e-4:
@@ -223,20 +200,6 @@ def test_tune_resumes_and_writes_the_best_training_file(tmp_path, whole, stubbed
     assert (output / "search.png").stat().st_size > 5000
 
 
-def test_an_interrupted_search_says_how_many_trials_are_stored(tmp_path, monkeypatch, capsys):
-    def interrupting(training, folder, origin, seed, position, watch):
-        if folder.name == "0002":
-            os.kill(os.getpid(), signal.SIGINT)
-        stub(training, folder, origin, seed, position, watch)
-
-    monkeypatch.setattr(module, "train", interrupting)
-    output = tmp_path / "out"
-    assert main(["tune", str(written(tmp_path)), "--trials", "5", "--output", str(output)]) == 130
-    message = f"probe-env: interrupted: 2 of 5 trials are stored in {output}; the same command continues"
-    assert capsys.readouterr().err.splitlines()[-1] == message
-    assert len(table_of(output)) == 2
-
-
 def test_a_folder_holds_one_search(tmp_path, stubbed, capsys):
     output = tmp_path / "out"
 
@@ -245,14 +208,14 @@ def test_a_folder_holds_one_search(tmp_path, stubbed, capsys):
 
     assert run(FILE) == 0
     for text, options, name in (
-        (FILE.replace("batch_size = 64", "batch_size = 8"), (), "learning"),
-        (FILE.replace("[3, 4]", "[4, 3]"), (), "seeds"),
-        (FILE, ("--phases", "1"), "phases"),
-        (FILE, ("--seed", "1"), "seed"),
+        (FILE.replace("batch_size = 64", "batch_size = 8"), (), "learning.batch_size 64, now 8"),
+        (FILE.replace("[3, 4]", "[4, 3]"), (), "seeds [3], now [4]"),
+        (FILE, ("--phases", "1"), "phases 2, now 1"),
+        (FILE, ("--seed", "1"), "seed 0, now 1"),
     ):
         capsys.readouterr()
         assert run(text, *options) == 2
-        assert f"{output}: holds a search with other settings ({name}): choose another" in capsys.readouterr().err
+        assert f"{output}: these trials were trained with other settings ({name}): choose" in capsys.readouterr().err
     assert run(FILE.replace("[3, 4]", "[3]")) == 0  # the others are not trained here
     with run_lock(output):
         assert run(FILE) == 2

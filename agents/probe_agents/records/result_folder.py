@@ -28,6 +28,7 @@ MAX_LINE: Final = 4 * MEBI
 MAX_HASHED: Final = 16384 * MEBI
 MAX_VALUE: Final = 40
 """Maximum number of characters of a setting in an error."""
+ADVICE: Final = "choose another folder or delete this one"
 CHECKSUM: Final = re.compile(rb',\s?"crc":\s?"([0-9a-f]{8})"\}\s*$')
 """End of a line of a journal: CRC-32 of what is before it. Lines of other programs have none."""
 
@@ -55,7 +56,7 @@ class ResultFolder:
 
     Args:
         path: the folder.
-        identity: common settings, JSON-ready, without version and commit of the code.
+        identity: common settings, JSON-ready; version and commit of the code are added.
         made: what is stored, for errors: "these episodes were simulated".
         free: dotted names of fields that are stored but may differ.
         file: name of the file of the identity.
@@ -78,10 +79,10 @@ class ResultFolder:
             raise FileError(path, "the name of the folder is not UTF-8: choose another folder") from error
         self.path, self.file, self.made, self.free = path, path / file, made, frozenset(free)
         code = {"version": version("probe-env"), "commit": commit()}
-        self.identity: dict[str, Any] = json.loads(json.dumps({**identity, **code}))
+        self.identity: dict[str, Any] = json.loads(json.dumps({**code, **identity}))
 
-    def check(self, *records: str) -> None:
-        """Raise unless the folder has this identity or none; nothing is changed.
+    def check(self, *records: str) -> dict[str, Any]:
+        """Raise unless the folder has this identity or none; returns the stored one. Nothing is changed.
 
         Args:
             records: names of files that need the file of the identity next to them.
@@ -93,14 +94,12 @@ class ResultFolder:
             for name in records:
                 if (self.path / name).exists():
                     raise FileError(self.file, f"missing next to {name}: {RESTORE}")
-            return
+            return {}
         stored = read_json(self.file, Identity).model_dump(mode="json")
-        advice = "choose another folder or delete this one"
         for name in ("commit", "version"):
             before, now = stored[name], self.identity[name]
             if before != now:
-                change = f"{name} {before or 'unknown'}, now {now}"
-                raise FileError(self.path, f"the code changed since {self.made} ({change}): {advice}")
+                raise FileError(self.path, code_changed(self.made, name, before, now))
         before, now = (
             _fields({name: values.get(name) for name in self.identity}) for values in (stored, self.identity)
         )
@@ -110,20 +109,27 @@ class ResultFolder:
             first, *others = changes
             text = f"{first} {_short(before.get(first))}, now {_short(now.get(first))}"
             text += f"; also {', '.join(others[:5])}" if others else ""
-            raise FileError(self.path, f"{self.made} with other settings ({text}): {advice}")
+            raise FileError(self.path, f"{self.made} with other settings ({text}): {ADVICE}")
+        return stored
 
     @contextmanager
     def open(self, *records: str, **details: Any) -> Iterator[Self]:
-        """Lock the folder, check the identity and store it, with ``details`` that may differ; raises as ``check``."""
+        """Lock the folder, check the identity and store it, with ``details`` of a new one; raises as ``check``."""
         with run_lock(self.path):
-            self.check(*records)
-            if not self.file.exists():
-                write_json(self.file, self.identity | details)
+            stored = self.check(*records)
+            content = (stored or details) | self.identity
+            if content != stored:
+                write_json(self.file, content)
             yield self
 
     def write_manifest(self, *files: str, **settings: Any) -> None:
         """Write the manifest of these files and the identity, see ``manifest.write_manifest``."""
         write_manifest(self.path, (*files, self.file.name), **settings)
+
+
+def code_changed(made: str, name: str, before: str, now: str) -> str:
+    """Error for results of another commit or version (``name``) of the code."""
+    return f"the code changed since {made} ({name} {before or 'unknown'}, now {now}): {ADVICE}"
 
 
 class Identity(Stored):

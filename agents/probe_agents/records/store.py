@@ -13,6 +13,7 @@ from tqdm import tqdm
 
 from probe_agents.records.atomic import write_atomically
 from probe_agents.records.manifest import commit
+from probe_agents.records.result_folder import code_changed, run_lock
 from probe_agents.records.tables import Columns, read_csv
 from probe_agents.terminal.work import Work, announce
 from probe_env.files import FileError
@@ -57,8 +58,8 @@ class Store:
         if missing := [name for name in keys if name not in self.table]:
             raise FileError(path, f"no column {', '.join(missing)}: not a table of this study; choose another folder")
         if others := sorted(set(self.table[COMMIT]) - {present_commit()}):
-            made_by = f"made by {', '.join(others)}, not by {present_commit()}"
-            raise FileError(path, f"{made_by}; rows of different commits are not mixed: choose another folder")
+            made = "these rows were simulated"
+            raise FileError(path.parent, code_changed(made, "commit", ", ".join(others), present_commit()))
         self._done = set(self.table[list(keys)].itertuples(index=False, name=None))
 
     def has(self, *key: object) -> bool:
@@ -88,6 +89,7 @@ class Store:
         announce(Work(unit, len(runs), lambda: sum(self.has(*key) for key in runs), self.path))
         parallel = Parallel(n_jobs=jobs, prefer="threads", return_as="generator_unordered")
         work = parallel(delayed(rows_of)(run) for run in missing)
-        for rows in tqdm(work, total=len(missing), desc=self.path.stem, unit=unit, disable=not missing):
-            self.add(*rows)
+        with run_lock(self.path.parent):
+            for rows in tqdm(work, total=len(missing), desc=self.path.stem, unit=unit, disable=not missing):
+                self.add(*rows)
         return self.table

@@ -6,10 +6,10 @@ An interrupted run therefore continues from its last checkpoint to the same weig
 
 from __future__ import annotations
 
+import hashlib
 import io
-import json
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -19,7 +19,6 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 import torch
-from pydantic import Field
 from stable_baselines3 import PPO
 from stable_baselines3.common.logger import Logger, make_output_format
 from stable_baselines3.common.utils import set_random_seed
@@ -33,9 +32,7 @@ from probe_agents.policies.policy import Policy, ranges_of
 from probe_agents.policies.view import Rows, View
 from probe_agents.records.atomic import write_atomically
 from probe_agents.records.manifest import origin as made_by
-from probe_agents.records.manifest import write_json, write_manifest
-from probe_agents.records.models import Stored, read_json
-from probe_agents.records.result_folder import run_lock
+from probe_agents.records.result_folder import ResultFolder, run_lock
 from probe_agents.records.tables import CURVE as CURVE_COLUMNS
 from probe_agents.records.tables import read_csv
 from probe_agents.terminal.tables import print_table
@@ -47,20 +44,14 @@ from probe_env.fidelity import SURROGATE, Fidelity
 from probe_env.files import MEBI, FileError, one_line, read_bytes
 
 RUN, CHECKPOINT, BEST, CURVE = "run.json", "checkpoint.pt", "agent.safetensors", "learning.csv"
+DIGEST: Final = 32
+"""Bytes of the SHA-256 at the start of a checkpoint."""
 MOST_CHECKPOINT: Final = 1024 * MEBI
 VALIDATED: Final = ("inspection_time_s", "share_within_limit", "diverged")
 """Columns of the learning curve, next to the reward."""
 MINIBATCH: Final = 256
 """Batch size of the imitation."""
 Floats = npt.NDArray[np.float32]
-
-
-class Run(Stored):
-    """``run.json``: settings of a run, how it was started and resumed."""
-
-    seed: int
-    config: Training
-    resumed: list[dict[str, Any]] = Field(default_factory=list)
 
 
 def train_all(
@@ -90,33 +81,29 @@ def train_all(
 
 def prepare(training: Training, output: Path, resume: bool, origin: dict[str, Any]) -> dict[int, Path]:
     """Check the folder of every seed, then write ``run.json`` in each."""
-    folders = {seed: output / f"seed-{seed}" for seed in training.seeds}
-    settings, teacher = training.model_dump(mode="json"), training.teacher
-    runs: dict[Path, dict[str, Any]] = {}
-    for seed, folder in folders.items():
-        path = folder / RUN
-        if folder.exists():
-            with run_lock(folder):
-                pass
-        if not path.exists():
-            if (folder / CHECKPOINT).exists():
-                raise FileError(path, f"missing next to {CHECKPOINT}: restore it, or choose another folder")
-            runs[path] = {"seed": seed} | origin
-            continue
-        if not resume:
-            raise ValueError(f"{folder} holds a run: continue it with --resume, or choose another folder")
-        run = read_json(path, Run).model_dump(mode="json")
-        free = ("seeds", "phases")  # more phases may follow
-        different = [name for name in settings if run["config"][name] != settings[name] and name not in free]
-        if different:
-            raise ValueError(
-                f"{folder} holds a run with other settings ({', '.join(different)}): choose another folder"
-            )
-        resumed = {name: origin[name] for name in ("command", "commit")}
-        runs[path] = run | {"resumed": [*run["resumed"], resumed]}
-    for path, run in runs.items():
-        write_json(path, run | {"config": settings, "teacher": teacher.describe() if teacher else None})
-    return folders
+    folders = {seed: run_folder(training, output, seed, origin) for seed in training.seeds}
+    for folder in folders.values():
+        if folder.path.exists():
+            with run_lock(folder.path):
+                folder.check(CHECKPOINT)
+        if folder.file.exists() and not resume:
+            raise ValueError(f"{folder.path} holds a run: continue it with --resume, or choose another folder")
+    for folder in folders.values():
+        with folder.open(**origin):
+            pass
+    return {seed: folder.path for seed, folder in folders.items()}
+
+
+def run_folder(training: Training, output: Path, seed: int, origin: Mapping[str, Any]) -> ResultFolder:
+    """The folder of a seed; more phases may follow, with other seeds next to it."""
+    teacher, vibration = training.teacher, training.vibration
+    identity = {
+        "seed": seed, "config": training.model_dump(mode="json"), "teacher": teacher.describe() if teacher else None,
+        "surrogate_map": vibration.digest if vibration else None, "version": origin["version"],
+        "commit": origin["commit"],
+    }  # fmt: skip
+    free = ("config.seeds", "config.phases")
+    return ResultFolder(output / f"seed-{seed}", identity, "this agent was trained", free, RUN)
 
 
 def _write_curve(rows: list[dict[str, Any]], folder: Path) -> None:
@@ -147,10 +134,10 @@ def train(
     Raises:
         FileError: another process trains in the folder; the checkpoint is damaged or of another run.
     """
-    folder = output / f"seed-{seed}"
     if position is None:
         position = training.seeds.index(seed) if threads else 0
-    with run_lock(folder):
+    with run_folder(training, output, seed, origin).open(CHECKPOINT, **origin) as result:
+        folder = result.path
         torch.set_num_threads(1)
         env, plan, model = _new_run(training, seed, threads)
         rows = restore(model, folder / CHECKPOINT)
@@ -172,9 +159,7 @@ def train(
                 save_checkpoint(model, rows, folder / CHECKPOINT)
                 _write_curve(rows, folder)
                 watch(rows[-1])
-        run = json.loads((folder / RUN).read_text())
-        commits = [each["commit"] for each in (run, *run.get("resumed", ()))]
-        write_manifest(folder, (RUN, CURVE, BEST), seeds=(seed,), command=origin["command"], commits=commits)
+        result.write_manifest(CURVE, BEST, seeds=(seed,), command=origin["command"], commits=(origin["commit"],))
         return pd.DataFrame(rows)
 
 
@@ -356,14 +341,14 @@ def _gather(
 
 
 def save_checkpoint(model: PPO, rows: list[dict[str, Any]], path: Path) -> None:
-    """Write weights, optimiser, step count and learning curve atomically.
+    """Write weights, optimiser, step count and learning curve atomically, after their SHA-256.
 
     Tensors and plain data only: SB3's files hold pickles, which run code when they are loaded.
     """
     state = {"parameters": model.get_parameters(), "rows": rows, "steps": model.num_timesteps}
     buffer = io.BytesIO()
     torch.save(state, buffer)
-    write_atomically(path, buffer.getvalue())
+    write_atomically(path, hashlib.sha256(buffer.getvalue()).digest() + buffer.getvalue())
 
 
 def restore(model: PPO, path: Path) -> list[dict[str, Any]]:
@@ -375,7 +360,10 @@ def restore(model: PPO, path: Path) -> list[dict[str, Any]]:
     if not path.exists():
         return []
     try:
-        state = torch.load(io.BytesIO(read_bytes(path, MOST_CHECKPOINT)), weights_only=True, map_location="cpu")
+        content = read_bytes(path, MOST_CHECKPOINT)
+        if hashlib.sha256(content[DIGEST:]).digest() != content[:DIGEST]:
+            raise ValueError("its checksum does not fit: it was changed or cut off")
+        state = torch.load(io.BytesIO(content[DIGEST:]), weights_only=True, map_location="cpu")
         rows: list[dict[str, Any]] = state["rows"]
         if any(row["seed"] != model.seed for row in rows) or rows[-1]["steps"] != state["steps"]:
             raise ValueError(f"its learning curve is not of seed {model.seed} and {state['steps']} steps")

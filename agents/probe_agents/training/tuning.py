@@ -27,9 +27,8 @@ from tqdm import tqdm
 from probe_agents.records.atomic import write_atomically
 from probe_agents.records.drawing import BLUE, GRID, RED, save
 from probe_agents.records.manifest import origin as made_by
-from probe_agents.records.manifest import write_manifest
-from probe_agents.records.models import Stored, validate
-from probe_agents.records.result_folder import run_lock
+from probe_agents.records.models import Stored
+from probe_agents.records.result_folder import ResultFolder
 from probe_agents.records.searches import JOURNAL, open_study
 from probe_agents.terminal.tables import print_line, print_table
 from probe_agents.terminal.work import Work, announce
@@ -59,7 +58,7 @@ SPACE: Final[dict[str, BaseDistribution]] = {
 
 
 class Tuning(Stored):
-    """Settings of a search, as stored in the journal.
+    """Settings of a search.
 
     Attributes:
         training: initial values; its first seed is trained.
@@ -122,12 +121,6 @@ def search(tuning: Tuning, trials: int, output: Path) -> optuna.Study:
     """Run or continue a search in a folder; each trial adds a row to trials.csv."""
     output.mkdir(parents=True, exist_ok=True)
     study, origin = open_study(output / JOURNAL, "tuning", ["maximize"], tuning.space), made_by()
-    if "search" in study.user_attrs:
-        before, now = validate(output / JOURNAL, "", study.user_attrs["search"], Tuning).settings, tuning.settings
-        different = ", ".join(name for name in now if before[name] != now[name])
-        if different:
-            raise FileError(output, f"holds a search with other settings ({different}): choose another folder")
-    study.set_user_attr("search", tuning.model_dump_json())
     # phase 0 is the warm start, which hardly depends on the hyperparameters
     study.pruner = optuna.pruners.MedianPruner(n_startup_trials=STARTUP_TRIALS, n_warmup_steps=1)
     announce(Work("trial", trials, lambda: len(finished(study)), output))
@@ -207,12 +200,14 @@ def run_tuning(training: Training, trials: int, phases: int | None, output: Path
     within("trials", trials, 1, 100_000, "")
     within("seed", seed, 0, 2**32 - 1, "")
     tuning = Tuning(training=training, phases=phases, seed=seed)
-    with run_lock(output):
-        study = search(tuning, trials, output)
+    with ResultFolder(output, tuning.settings, "these trials were trained").open(JOURNAL) as folder:
+        return _write_results(tuning, search(tuning, trials, output), folder)
+
+
+def _write_results(tuning: Tuning, study: optuna.Study, folder: ResultFolder) -> pd.DataFrame:
+    output, training = folder.path, tuning.training
     table = trials_table(study)
-    write_atomically(
-        output / TRIALS, table.to_csv(index=False)
-    )  # an interrupt may have happened between trial and table
+    write_atomically(output / TRIALS, table.to_csv(index=False))  # an interrupt may have come before it
     complete = [(number, trial) for number, trial in enumerate(finished(study)) if trial.state == TrialState.COMPLETE]
     if not complete:
         raise RuntimeError(f"all {len(table)} trainings failed: {finished(study)[-1].user_attrs['failed']}")
@@ -220,14 +215,14 @@ def run_tuning(training: Training, trials: int, phases: int | None, output: Path
     origin = made_by(commits=table["commit"])
     heading = (
         f"# Found by: {one_line(origin['command'])}\n# Trial {number} (commit {best.user_attrs['commit']}): reward"
-        f" {best.values[0]:.4g} on the validation tubes, the best phase\n# of a training with {phases} instead of"
-        f" {training.phases} of them and seed {training.seeds[0]} alone.\n"
+        f" {best.values[0]:.4g} on the validation tubes, the best phase\n# of a training with {tuning.phases} instead"
+        f" of {training.phases} of them and seed {training.seeds[0]} alone.\n"
     )
     write_atomically(output / "found.toml", f"{heading}\n{tuning.with_parameters(best.params).to_toml()}")
     _draw(table, output / "search.png")
     space = {name: distribution._asdict() for name, distribution in tuning.space.items()}
     setting = json.loads(tuning.model_dump_json()) | {"space": space, "trials": len(table), "best": number}
-    write_manifest(output, (TRIALS, "found.toml"), seeds=(seed,), commits=table["commit"], **setting)
+    folder.write_manifest(TRIALS, "found.toml", seeds=(tuning.seed,), commits=table["commit"], **setting)
     _print(table)
     print_line(f"written: {output}/ (found.toml, trials.csv, search.png, manifest.json, trials/)")
     return table
