@@ -13,14 +13,7 @@ from tqdm import tqdm
 
 # A server that imports once and forks for each piece of work: it has no threads, which a fork would cut off
 SERVER = multiprocessing.get_context("forkserver")
-SERVER.set_forkserver_preload(
-    [
-        "probe_agents.evaluation.report",
-        "probe_agents.training.tuning",
-        "probe_agents.design.compare",
-        "probe_agents.design.search",
-    ]
-)
+SERVER.set_forkserver_preload(["probe_agents.training.tuning", "probe_agents.design.search"])
 
 
 class Killed(BaseException):
@@ -37,9 +30,7 @@ def kill():
     os.kill(os.getpid(), signal.SIGKILL)
 
 
-def killed_at(
-    point: str, number: int, work: Callable[..., Any], *arguments: Any, after: bool = False, within: str = ""
-) -> bool:
+def killed_at(point: str, number: int, work: Callable[..., Any], *arguments: Any, after: bool = False) -> bool:
     """Whether the work was killed, by SIGKILL, before it came to its end.
 
     Args:
@@ -48,18 +39,15 @@ def killed_at(
         work: function of a module, run in a process of its own.
         arguments: of it.
         after: kill when the call is over, not before it.
-        within: count only calls with this text in one of their arguments, as the path of a file.
     """
-    process = SERVER.Process(target=_run, args=(point, number, after, within, work, arguments))
+    process = SERVER.Process(target=_run, args=(point, number, after, work, arguments))
     process.start()
     process.join()
     assert process.exitcode in (0, -signal.SIGKILL), f"exit code {process.exitcode}"
     return process.exitcode != 0
 
 
-def _run(
-    point: str, number: int, after: bool, within: str, work: Callable[..., Any], arguments: tuple[Any, ...]
-) -> None:
+def _run(point: str, number: int, after: bool, work: Callable[..., Any], arguments: tuple[Any, ...]) -> None:
     tqdm.set_lock(threading.RLock())  # its own, between processes, would be left behind
     module, name = point.rsplit(".", 1)
     owner: Any
@@ -71,12 +59,11 @@ def _run(
 
     def counted(*given: Any, **named: Any) -> Any:
         nonlocal calls
-        calls += any(within in str(value) for value in given)
-        reached = calls == number and any(within in str(value) for value in given)
-        if reached and not after:
+        calls += 1
+        if calls == number and not after:
             kill()
         result = function(*given, **named)
-        if reached:
+        if calls == number:
             kill()
         return result
 

@@ -55,6 +55,7 @@ def store(folder, insertions, config=CONFIG, bundle=BUNDLE, policies=None, users
                 "air_supply_rate": 0.02 + 0.0 * METRE,
                 "radial_rms_m": vibration,
                 "tension_mean_n": 5.0 + 0.0 * METRE,
+                "noise_rms_m": 0.0 * METRE,
             }
             if config.instrument:
                 kpis |= {

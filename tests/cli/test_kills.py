@@ -1,19 +1,25 @@
-"""Stopped at a defined point, stores of studies, maps and comparisons continue to the same bytes.
+"""Stopped at a defined point, evaluations, studies, maps and comparisons continue to the same bytes.
 
-Evaluations, searches and trainings have such tests, with real kills, in their own rooms.
+Real kills of the folder of results are in tests/records, searches and trainings in their rooms.
 """
 
 import pytest
 from kills import Killed, hook_replace, hook_sync, stop
+from plans import make_plan
 
 from probe_agents.design import compare as design
 from probe_agents.design.trials import DesignTrials
+from probe_agents.evaluation.plan import run_plan
 from probe_agents.studies import vibration_map
 from probe_agents.studies.compare import write_comparison
 from probe_agents.studies.run import expand, run_study
 from probe_agents.studies.spec import Study
 from probe_env import Context, Design, load_contexts
 from probe_env.envs.task import TaskConfig
+
+
+def evaluate(folder):
+    run_plan(make_plan(4, 3, seeds=(0,)), folder, batch=2, progress=False)
 
 
 def study(folder):
@@ -37,6 +43,14 @@ def compare(folder):
 @pytest.mark.parametrize(
     ("work", "episodes", "stops", "results"),
     [
+        (
+            evaluate, 12,
+            (
+                (hook_sync, "episodes.jsonl", 4), (hook_sync, "episodes.jsonl", 5), (hook_replace, "episodes.csv", 1),
+                (hook_replace, "profile.parquet", 1), (hook_replace, "manifest.json", 1),
+            ),
+            ("episodes.csv", "episodes.parquet", "profile.parquet", "manifest.json"),
+        ),
         (study, 12, ((hook_sync, "episodes.jsonl", 4), (hook_replace, "comparison.csv", 1)), ("comparison.csv",)),
         (compare, 4, ((hook_sync, "designs.jsonl", 1),), ("designs.csv",)),
         pytest.param(

@@ -1,8 +1,5 @@
 """Playing a plan: paired, resumable at any moment, and never mixed with episodes of another setting or commit."""
 
-import contextlib
-import importlib
-import itertools
 import json
 from collections import deque
 from dataclasses import replace
@@ -10,11 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
-from kills import killed_at
 from plans import CONFIG, make_plan
 
 from probe_agents.evaluation import evaluate
-from probe_agents.evaluation.folder import episodes_of
 from probe_agents.evaluation.kpis import PROFILE_COLUMNS
 from probe_agents.evaluation.plan import Plan, RolloutRunner, core_seconds, per_metre, run_plan
 from probe_agents.evaluation.run import evaluate_plan, plan_of
@@ -75,43 +70,6 @@ def test_episode_does_not_depend_on_the_batch(evaluated):
     alone = run_plan(make_plan(), None, batch=1, progress=False)
     together = pd.read_parquet(evaluated / "episodes.parquet")
     same(alone.drop(columns="commit"), together.drop(columns="commit"))
-
-
-def play_here(folder):
-    run_plan(make_plan(4, 3), folder, batch=2, progress=False)
-
-
-def interrupted_at(point, number, work, folder):
-    """In the place of a kill: an interrupt at the n-th call of a function."""
-    module, name = point.rsplit(".", 1)
-    owner, calls = importlib.import_module(module), itertools.count(1)
-    function = getattr(owner, name)
-
-    def call(*arguments, **named):
-        if next(calls) == number:
-            raise KeyboardInterrupt
-        return function(*arguments, **named)
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(owner, name, call)
-        with contextlib.suppress(KeyboardInterrupt):
-            work(folder)
-            return False
-    return True
-
-
-@pytest.mark.parametrize("stopped_at", [interrupted_at, pytest.param(killed_at, marks=pytest.mark.slow)])
-def test_stopped_evaluation_continues_to_the_same_table(stopped_at, tmp_path):
-    """Whenever three more episodes are in the journal, then as each of the five files is to be put in place."""
-    whole = run_plan(make_plan(4, 3), tmp_path / "whole", batch=2, progress=False)
-    folder, stored = tmp_path / "stopped", []
-    while len(stored) < (3 if stopped_at is interrupted_at else 7):
-        assert stopped_at("probe_agents.evaluation.plan.per_metre", 4, play_here, folder)
-        stored.append(len(episodes_of(folder).read()))
-    assert stored == list(range(3, 3 * len(stored) + 1, 3))  # nothing is lost, nothing done twice
-    for number in range(1 if len(stored) > 3 else 2, 6):
-        assert stopped_at("os.replace", number, play_here, folder)
-    same(run_plan(make_plan(4, 3), folder, batch=2, progress=False), whole)
 
 
 def test_folder_of_other_settings_is_refused(stored, monkeypatch):

@@ -43,10 +43,10 @@ CASES: dict[str, tuple[str, ...]] = {
         "evaluate constant pi best-schedule own.csv --limit 2 --fidelity fast --output out",
         "evaluate out || report out",
     ),
-    "evaluate-laws": ("evaluate adaptive trimmed-law plc-law --limit 2 --fidelity fast --output out",),
+    "evaluate-laws": ("evaluate adaptive plc-integral plc-proportional --limit 2 --fidelity fast --output out",),
     "evaluate-agents": ("evaluate student ppo shielded:ppo --limit 2 --fidelity fast --output out",),
     "evaluate-planner": ("evaluate planner --tube longer.toml --limit 1 --fidelity fast --output out",),
-    "evaluate-tube": ("evaluate pi trimmed-law --tube tube.toml --limit 2 --fidelity fast --output out",),
+    "evaluate-tube": ("evaluate pi plc-integral --tube tube.toml --limit 2 --fidelity fast --output out",),
     "evaluate-both-ways": (
         "evaluate both-ways own.csv --passes both --tube longer.toml --limit 1 --fidelity fast --output out",
     ),

@@ -35,7 +35,7 @@ CASES = {
     "simulate-newmark": "simulate fig11_l10 --method newmark --duration 0.05 --output out",
     "simulate-imex": "simulate fig11_l10 --method imex --duration 0.2 --scene.contact.friction 0.2 --output out",
     "simulate-superelement": "simulate fig11_l10 --method superelement --duration 0.125 --output out",
-    "evaluate": f"evaluate constant pi adaptive trimmed-law calm.csv --limit 2 {CALM}",
+    "evaluate": f"evaluate constant pi adaptive plc-integral calm.csv --limit 2 {CALM}",
     "evaluate-agents": f"evaluate student --limit 1 {CALM}",
     "signal": "signal best-schedule --fidelity standard --tube short.toml --flaws 5.5:20 6:60 --until 9 --output out",
     "compare": "compare original improved --full --tube longer.toml --limit 1 --fidelity fast --output out",

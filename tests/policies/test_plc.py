@@ -10,7 +10,7 @@ import pytest
 from probe_agents.cli import main
 from probe_agents.plant.plc_export import recipe_of, structured_text, table, write_law
 from probe_agents.policies.cases import load_case
-from probe_agents.policies.catalogue import OLD_NAMES, make_policy, name_and_spec
+from probe_agents.policies.catalogue import make_policy
 from probe_agents.policies.plc_law import (
     CREDIBLE,
     FRICTION,
@@ -215,9 +215,6 @@ def test_constants_are_read_by_name_or_refused(tmp_path):
     described = {"policy": "PlcProportional"} | read_constants().model_dump()
     assert make_policy("plc-proportional", CONFIG).describe() == described
     assert make_policy("plc-integral", CONFIG).describe()["aim"] == read_trim().aim
-    for old, new in OLD_NAMES.items():
-        assert make_policy(old, CONFIG).describe() == make_policy(new, CONFIG).describe()
-        assert name_and_spec(f"a=b={old}") == ("a=b", old)
     path = tmp_path / "law.json"
     for read, key in ((read_constants, "constants"), (read_trim, "trim")):
         for text, message in (

@@ -28,7 +28,7 @@ from probe_agents.evaluation.folder import (
 )
 from probe_agents.evaluation.kpis import CORE
 from probe_agents.evaluation.run import evaluate_plan
-from probe_agents.policies.bundle import Description, Network, _hash, build_policy, load_bundle, write_bundle
+from probe_agents.policies.bundle import Description, StoredNetwork, _hash, build_policy, load_bundle, write_bundle
 from probe_agents.policies.trained import read_weights
 from probe_agents.policies.view import View
 from probe_agents.records.models import read_json
@@ -277,7 +277,7 @@ def bundle(tmp_path):
     path = tmp_path / "agent.safetensors"
     torch.manual_seed(0)
     description = Description(
-        algorithm="ppo", network=Network(net_arch=(8,)), view=View(averages=(5.0,)), task=TaskConfig(), trained={}
+        algorithm="ppo", network=StoredNetwork(net_arch=(8,)), view=View(averages=(5.0,)), task=TaskConfig(), trained={}
     )  # fmt: skip
     write_bundle(path, description, build_policy(description))
     return path

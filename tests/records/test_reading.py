@@ -1,4 +1,4 @@
-"""Readers and writers of stored files: journals that were cut off, cells of tables, newer columns, manifests."""
+"""Readers and writers of stored files: journals that were cut off, cells of tables, optional columns, manifests."""
 
 import hashlib
 import json
@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from probe_agents.evaluation.folder import EPISODES, EPISODES_NEWER, Episode, read_episodes
+from probe_agents.evaluation.folder import Episode, read_episodes
 from probe_agents.evaluation.kpis import CORE, KPIS, displayed_kpis
 from probe_agents.records import manifest
 from probe_agents.records.atomic import write_atomically
@@ -48,28 +48,23 @@ def test_cells_of_csv_tables_keep_their_types(tmp_path):
     assert (read_csv(path, {"x": "number"})["x"].to_numpy() == numbers).all()
 
 
-def test_kpis_newer_than_a_table_are_neither_demanded_nor_shown(tmp_path, monkeypatch):
-    """One that a table has is shown and checked; those of ``CORE`` are demanded."""
+def test_kpis_may_be_missing_but_are_checked(tmp_path):
+    """Those of ``CORE`` are required."""
     path, table = tmp_path / "episodes.csv", pd.read_csv(ROOT / "results" / "evaluation" / "episodes.csv")
     table = table[table["policy"] == table["policy"][0]].iloc[:4]
-    table.assign(agent=2).to_csv(path, index=False)
-    assert read_episodes(path)["training_seed"].eq(2).all()  # stored before the column was renamed
-    monkeypatch.setitem(KPIS, "jolts_per_m", ("jolts", 1.0, "1/m"))
-    monkeypatch.setitem(EPISODES_NEWER, "jolts_per_m", "number")
-    assert set(displayed_kpis(read_episodes(path))) == set(KPIS) & set(table.columns) | {"a90_95_percent_wall"}
-    table.assign(jolts_per_m=2.0).to_csv(path, index=False)
-    assert "jolts_per_m" in displayed_kpis(read_episodes(path))
-    worse = table.assign(jolts_per_m=np.where(table.index == 3, np.nan, 2.0))
+    some = table.drop(columns="air_m3")
+    some.to_csv(path, index=False)
+    assert set(displayed_kpis(read_episodes(path))) == set(KPIS) & set(some.columns) | {"a90_95_percent_wall"}
+    worse = table.assign(air_m3=np.where(table.index == 3, np.nan, 2.0))
     worse.to_csv(path, index=False, na_rep="nan")
     worse.to_parquet(tmp_path / "episodes.parquet", index=False)
     for damaged in (path, tmp_path / "episodes.parquet"):
-        with pytest.raises(FileError, match=r"row 4: jolts_per_m = nan is not finite"):
+        with pytest.raises(FileError, match=r"row 4: air_m3 = nan is not finite"):
             read_episodes(damaged)
     for name in CORE:
         table.drop(columns=name).to_csv(path, index=False)
         with pytest.raises(FileError, match=f"column '{name}' is missing"):
             read_episodes(path)
-    assert set(EPISODES) <= set(table.columns)
 
 
 def test_a_manifest_names_what_made_a_result_and_its_files(tmp_path, monkeypatch):

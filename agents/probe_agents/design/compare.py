@@ -28,9 +28,10 @@ from probe_env.envs.trials import check_candidate, check_measure, segment_of
 from probe_env.settings import explain
 
 STORED: Final = "designs.csv"
-COLUMNS: Final[Columns] = {"design": "name", "context": "count", **dict.fromkeys(CORE, "number")}
-NEWER: Final[Columns] = dict.fromkeys(OF_DESIGNS, "number")
-"""Required columns of the stored table, and optional ones."""
+COLUMNS: Final[Columns] = {
+    "design": "name", "context": "count", **dict.fromkeys(OF_DESIGNS, "number?"), **dict.fromkeys(CORE, "number")
+}  # fmt: skip
+"""Columns of the stored table; some depend on the task."""
 BATCH = 16
 
 
@@ -153,7 +154,7 @@ def read_comparison(folder: Path) -> pd.DataFrame:
         FileError: the file is damaged or changed.
     """
     check_hashes(folder, STORED)
-    return read_csv(folder / STORED, COLUMNS, NEWER)
+    return read_csv(folder / STORED, COLUMNS)
 
 
 def print_comparison(table: pd.DataFrame) -> None:

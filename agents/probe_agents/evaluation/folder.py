@@ -26,7 +26,6 @@ from probe_agents.evaluation.kpis import (
     OF_INSTRUMENT,
     PROFILE_COLUMNS,
     PROFILE_COLUMNS_INSTRUMENT,
-    PROFILE_COLUMNS_NEWER,
 )
 from probe_agents.evaluation.statistics import grouped
 from probe_agents.records.models import Key, Record, Stored, read_json, require
@@ -45,15 +44,15 @@ UNFINISHED: Final = "unfinished.json"
 FILES: Final = ("episodes.csv", "episodes.parquet", "profile.parquet")
 CASE: Final[dict[str, Kind]] = {"policy": "name", "context": "count", "seed": "count"}
 EPISODES: Final[Columns] = {
-    **CASE, **dict.fromkeys((*Context.model_fields, *CORE, "complete", *CORE_FAILURES), "number")
+    **CASE,
+    **dict.fromkeys((*KPIS, *OF_INSTRUMENT, *COST_KPIS, *POD_NAMES, *ENDINGS), "number?"),
+    **dict.fromkeys((*Context.model_fields, *CORE, "complete", *CORE_FAILURES), "number"),
+}
+"""Columns of ``episodes.csv`` and ``episodes.parquet``; some depend on task and fidelity."""
+PROFILE: Final[Columns] = {
+    **dict.fromkeys(PROFILE_COLUMNS, "maybe"), **dict.fromkeys(PROFILE_COLUMNS_INSTRUMENT, "maybe?"), **CASE
 }  # fmt: skip
-"""Columns of every ``episodes.csv`` and ``episodes.parquet``."""
-EPISODES_NEWER: Final[Columns] = dict.fromkeys((*KPIS, *OF_INSTRUMENT, *COST_KPIS, *POD_NAMES, *ENDINGS), "number")
-"""Columns that tables of older versions lack."""
-PROFILE: Final[Columns] = {**dict.fromkeys(PROFILE_COLUMNS, "maybe"), **CASE}
 """Columns of ``profile.parquet``, one row per metre; NaN where a probe diverged."""
-PROFILE_NEWER: Final[Columns] = dict.fromkeys((*PROFILE_COLUMNS_NEWER, *PROFILE_COLUMNS_INSTRUMENT), "maybe")
-"""Columns that profiles of older versions, or without an instrument, lack."""
 EpisodeId = tuple[str, int, int]
 """Policy name, context number and seed of an episode."""
 Planned = tuple[str, str, int, int]
@@ -134,8 +133,7 @@ def read_episodes(path: Path) -> pd.DataFrame:
         FileNotFoundError: no such file.
         FileError: the file is damaged.
     """
-    table = (read_csv if path.suffix == ".csv" else read_parquet)(path, EPISODES, EPISODES_NEWER)
-    return table.rename(columns={"agent": "training_seed"})  # its name before version 0.1.0
+    return (read_csv if path.suffix == ".csv" else read_parquet)(path, EPISODES)
 
 
 def collect_tables(
@@ -209,7 +207,7 @@ def read_evaluation(folder: Path) -> Evaluation:
     if missing := [path for path in paths if not path.exists()]:
         raise FileNotFoundError(errno.ENOENT, "no evaluation is stored there", str(missing[0]))
     check_hashes(folder, *(path.name for path in paths))
-    table, profile = grouped(read_episodes(paths[0])), grouped(read_parquet(paths[1], PROFILE, PROFILE_NEWER))
+    table, profile = grouped(read_episodes(paths[0])), grouped(read_parquet(paths[1], PROFILE))
     if not set(profile["policy"]) <= set(table["policy"]):
         raise FileError(paths[1], "has policies that are not in episodes.parquet: evaluate again into this folder")
     report = _report_settings(folder, table, strict=True)
@@ -238,8 +236,8 @@ def _interrupted(folder: Path) -> Evaluation:
         raise FileError(journal.path, f"no episode is stored yet: `{plan.command}` continues the evaluation")
     chosen = comparable(stored)
     table, profile = collect_tables(chosen, plan.contexts, done)
-    check_table(journal.path, table, EPISODES, EPISODES_NEWER)
-    check_table(journal.path, profile, PROFILE, PROFILE_NEWER)
+    check_table(journal.path, table, EPISODES)
+    check_table(journal.path, profile, PROFILE)
     table, profile = grouped(table), grouped(profile)
     total = Counter(name for _, name, _, _ in plan.episodes)
     absent = Counter(name for key, name, _, _ in plan.episodes if key not in done)

@@ -1,7 +1,4 @@
-"""The KPIs of episodes and designs: their columns, names and units.
-
-Older tables lack the columns of newer KPIs: readers require only ``CORE``.
-"""
+"""The KPIs of episodes and designs: their columns, names and units."""
 
 from __future__ import annotations
 
@@ -54,10 +51,10 @@ OF_DESIGNS: Final[Kpis] = {
     **{name: DETECTION[name] for name in ("a90_percent_wall", "length_with_snr_over_3_m")},
 }
 """KPIs of designs, in the order of tables."""
-PROFILE_COLUMNS: Final = ("time", "inserted_length", "feed_speed", "air_supply_rate", "radial_rms_m", "tension_mean_n")
-"""Columns of an episode's profile, SI units."""
-PROFILE_COLUMNS_NEWER: Final = ("noise_rms_m",)
-"""Columns that older profiles lack: noise in the band of a flaw, as radial rms [m]."""
+PROFILE_COLUMNS: Final = (
+    "time", "inserted_length", "feed_speed", "air_supply_rate", "radial_rms_m", "tension_mean_n", "noise_rms_m",
+)  # fmt: skip
+"""Columns of an episode's profile, SI units; ``noise_rms_m``: noise in the band of a flaw, as radial rms."""
 PROFILE_COLUMNS_INSTRUMENT: Final = ("highest_feed", "axial_velocity_rms", "permitted_speed")
 """Columns of profiles with an instrument [m/s]: highest feed of a control period in the metre, rms of the sensor's
 axial velocity about its mean (NaN: not simulated), and the permitted speed (NaN: no limit)."""

@@ -28,7 +28,7 @@ from probe_agents.evaluation.folder import (
     episodes_of,
 )
 from probe_agents.evaluation.folder import EpisodeId as EpisodeId
-from probe_agents.evaluation.kpis import PROFILE_COLUMNS, PROFILE_COLUMNS_INSTRUMENT, PROFILE_COLUMNS_NEWER
+from probe_agents.evaluation.kpis import PROFILE_COLUMNS, PROFILE_COLUMNS_INSTRUMENT
 from probe_agents.evaluation.profiles import file_name
 from probe_agents.evaluation.repeat import (
     cases_of,
@@ -64,8 +64,6 @@ SECONDS_PER_METRE, MEAN_SHARE = 5.5, 0.6
 """Of a usual insertion: time per metre [s/m], and mean inserted length over that of the helix."""
 FULL_LANES: Final = 0.35
 """Time of evaluations in full batches over that of the measured costs: 16 episodes at fast took 11 s of a core."""
-COLUMNS: Final = (*PROFILE_COLUMNS, *PROFILE_COLUMNS_NEWER)
-"""Columns of a profile."""
 
 
 @dataclass(frozen=True)
@@ -251,20 +249,20 @@ def _records(plan: Plan, missing: deque[EpisodeId], batch: int, threads: int | N
 
 
 def per_metre(profile: list[tuple[float, ...]]) -> dict[str, npt.NDArray[np.float64]]:
-    """Means of control periods (columns ``COLUMNS``) over each metre of inserted length; of squares for rms values.
+    """Means of control periods (``PROFILE_COLUMNS``) over each metre of inserted length; of squares for rms values.
 
     ``inserted_length`` is the middle of the metre, ``time`` the end of its last period.
     """
-    squared = ["radial_rms_m", *PROFILE_COLUMNS_NEWER]
+    squared = ["radial_rms_m", "noise_rms_m"]
     if not profile:
-        return {name: np.zeros(0) for name in COLUMNS}
+        return {name: np.zeros(0) for name in PROFILE_COLUMNS}
     periods, metre = _periods(profile)
     groups = periods.assign(**{name: periods[name] ** 2 for name in squared}).groupby(metre)
     means = groups.mean()
     means[squared] **= 0.5
     means["time"] = groups["time"].max()
     means["inserted_length"] = means.index + 0.5
-    return {name: means[name].to_numpy() for name in COLUMNS}
+    return {name: means[name].to_numpy() for name in PROFILE_COLUMNS}
 
 
 def instrument_columns(
@@ -282,8 +280,8 @@ def instrument_columns(
 
 
 def _periods(profile: list[tuple[float, ...]]) -> tuple[pd.DataFrame, pd.Series]:
-    """Control periods (columns ``COLUMNS``) and the metre of each; one that ends on a whole metre is in that before."""
-    periods = pd.DataFrame(profile, columns=list(COLUMNS))
+    """Control periods and the metre of each; one that ends on a whole metre is in that before."""
+    periods = pd.DataFrame(profile, columns=list(PROFILE_COLUMNS))
     return periods, np.ceil(periods["inserted_length"] - 1e-6) - 1.0
 
 
@@ -299,7 +297,7 @@ class RolloutRunner:
     Attributes:
         episodes: the running episodes.
         ids: episode of each lane.
-        profile: for each lane, one row per control period of the insertion so far, columns ``COLUMNS``.
+        profile: for each lane, one row per control period of the insertion so far, columns ``PROFILE_COLUMNS``.
         axial: for each row of ``profile``, rms of the sensor's axial velocity [m/s]; NaN: not simulated.
         decided: whether ``actions`` are those of the next period.
         actions: (N, 2) last actions.
@@ -369,7 +367,7 @@ class RolloutRunner:
             info = step.infos[k]
             if direction[k] > 0.0:
                 self.axial[k].append(np.nan if axial is None else float(axial[k]))
-                self.profile[k].append(tuple(float(info.get(name, np.nan)) for name in COLUMNS))
+                self.profile[k].append(tuple(float(info.get(name, np.nan)) for name in PROFILE_COLUMNS))
             if "episode_kpis" in info:
                 episode, metres = self.episode_id(k), per_metre(self.profile[k])
                 kpis = with_pod_columns(info["episode_kpis"])

@@ -31,8 +31,6 @@ DATA: Final = Path(__file__).parent / "data"
 STORED: Final = ("best-constant", "best-schedule")
 """Schedules found by ``probe-env study best-schedules``, in ``agents/probe_agents/policies/data/``."""
 LAWS: Final[dict[str, type[PlcProportional]]] = {"plc-proportional": PlcProportional, "plc-integral": PlcIntegral}
-OLD_NAMES: Final = {"plc-law": "plc-proportional", "trimmed-law": "plc-integral"}
-"""Names before version 0.1.0, which stored results have, and are still accepted."""
 BY_DIAMETER: Final = "best-schedule-by-diameter"
 NAMES: Final = (*BUILT_IN, *STORED, BY_DIAMETER, *MAP_POLICIES, *LAWS, *PLANNERS)
 CLASS: Final = re.compile(r"(?P<module>[A-Za-z_][\w.]*):(?P<name>[A-Za-z_]\w*)")
@@ -71,7 +69,7 @@ def name_and_spec(argument: str) -> tuple[str, str]:
 
 def _is_known(spec: str) -> bool:
     bare = spec.removeprefix(PREFIX)
-    return bare in (*NAMES, *OLD_NAMES) or policy_file(bare) != bare or bool(CLASS.fullmatch(bare)) or _is_file(spec)
+    return bare in NAMES or policy_file(bare) != bare or bool(CLASS.fullmatch(bare)) or _is_file(spec)
 
 
 def _is_file(spec: str) -> bool:
@@ -113,7 +111,7 @@ def make_policy(spec: str, config: TaskConfig, vibration: VibrationMap | None = 
         if spec.removeprefix(PREFIX) in PLANNERS:
             raise ValueError(f"policy = {spec!r}: the shield needs a policy that acts on observations, not a planner")
         return Shielded(config, make_policy(spec.removeprefix(PREFIX), config, vibration, classes))
-    spec = policy_file(OLD_NAMES.get(spec, spec))
+    spec = policy_file(spec)
     suffix = Path(spec).suffix
     if spec in BUILT_IN:
         kind, arguments = BUILT_IN[spec]

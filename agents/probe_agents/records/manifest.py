@@ -127,11 +127,13 @@ def _processor() -> str:
 
 
 def write_json(path: Path, data: Any) -> None:
-    """Write JSON atomically; NaN becomes null."""
+    """Write JSON atomically; NaN becomes null, characters that are not UTF-8 escapes."""
     write_atomically(path, json.dumps(_plain(data), indent=2, allow_nan=False) + "\n")
 
 
 def _plain(data: Any) -> Any:
+    if isinstance(data, str):
+        return data.encode("utf-8", "backslashreplace").decode()  # names of files that are not UTF-8
     if isinstance(data, dict):
         return {key: _plain(value) for key, value in data.items()}
     if isinstance(data, list | tuple):

@@ -22,8 +22,11 @@ import pyarrow.parquet as pq
 from probe_agents.terminal.names import name_problem
 from probe_env.files import MEBI, FileError, read_bytes, read_text
 
-Kind = Literal["name", "text", "count", "number", "maybe", "truth"]
-"""A name (``terminal.names``), any text, a whole number from 0, a finite number, a number or NaN, a boolean."""
+Kind = Literal["name", "text", "count", "number", "maybe", "truth", "number?", "maybe?"]
+"""A name (``terminal.names``), any text, a whole number from 0, a finite number, a number or NaN, a boolean.
+
+Columns with a question mark may be missing.
+"""
 Columns = Mapping[str, Kind]
 MAX_CSV: Final = 64 * MEBI
 MAX_PARQUET: Final = 1024 * MEBI
@@ -42,13 +45,12 @@ _HINT: Final = "restore the file, or create it again"
 _ARROW: Final = {"name": pa.string(), "text": pa.string(), "truth": pa.bool_()}
 
 
-def read_csv(path: Path, columns: Columns = _NONE, newer: Columns = _NONE) -> pd.DataFrame:
+def read_csv(path: Path, columns: Columns = _NONE) -> pd.DataFrame:
     """A CSV table with a header; the kinds of other columns are inferred.
 
     Args:
         path: the file.
-        columns: required columns and their kinds.
-        newer: columns that may be missing, and their kinds.
+        columns: columns and their kinds.
 
     Raises:
         FileNotFoundError: no such file.
@@ -56,7 +58,7 @@ def read_csv(path: Path, columns: Columns = _NONE, newer: Columns = _NONE) -> pd
     """
     text = read_text(path, MAX_CSV)
     header = next(filter(None, csv.reader(io.StringIO(text))), [])
-    columns = _present(columns, newer, header)
+    columns = _present(columns, header)
     _check_header(path, header, columns)
     types: dict[str, Any] = {name: _ARROW.get(kind, pa.float64()) for name, kind in columns.items()}
     types = dict.fromkeys((name for name in HASHES if name in header), pa.string()) | types
@@ -99,8 +101,8 @@ def _csv_error(error: str, header: Sequence[str]) -> str:
     return f"not CSV: {error}"
 
 
-def read_parquet(path: Path, columns: Columns, newer: Columns = _NONE) -> pd.DataFrame:
-    """The required columns of a Parquet table, and those of ``newer`` that it has, in the order of the file.
+def read_parquet(path: Path, columns: Columns) -> pd.DataFrame:
+    """The columns of a Parquet table, in the order of the file.
 
     Raises:
         FileNotFoundError: no such file.
@@ -110,7 +112,7 @@ def read_parquet(path: Path, columns: Columns, newer: Columns = _NONE) -> pd.Dat
     try:
         file = pq.ParquetFile(io.BytesIO(stored))
         names, rows = list(file.schema_arrow.names), file.metadata.num_rows
-        columns = _present(columns, newer, names)
+        columns = _present(columns, names)
         _check_header(path, names, columns)
         if not 0 < rows <= MAX_ROWS:
             raise FileError(path, f"{rows} rows; accepted: 1 to {MAX_ROWS} - {_HINT}")
@@ -124,17 +126,19 @@ def read_parquet(path: Path, columns: Columns, newer: Columns = _NONE) -> pd.Dat
     return check_table(path, table, columns)
 
 
-def _present(columns: Columns, newer: Columns, header: list[Any]) -> Columns:
-    return {**columns, **{name: kind for name, kind in newer.items() if name in header}}
+def _present(columns: Columns, header: list[Any]) -> Columns:
+    """Columns without those that may be missing and are."""
+    kinds: dict[str, Any] = {name: kind for name, kind in columns.items() if name in header or not kind.endswith("?")}
+    return {name: kind.rstrip("?") for name, kind in kinds.items()}
 
 
-def check_table(path: Path, table: pd.DataFrame, columns: Columns, newer: Columns = _NONE) -> pd.DataFrame:
+def check_table(path: Path, table: pd.DataFrame, columns: Columns) -> pd.DataFrame:
     """Check that a table has rows and the required columns, all of their kinds; returns the table.
 
     Raises:
         FileError: names file, column and row (the first is 1).
     """
-    columns = _present(columns, newer, list(table.columns))
+    columns = _present(columns, list(table.columns))
     _check_header(path, list(table.columns), columns)
     if table.empty:
         raise FileError(path, f"no rows - {_HINT}")

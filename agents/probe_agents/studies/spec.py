@@ -10,7 +10,7 @@ from typing import Annotated, Any, Final, Literal
 from pydantic import BeforeValidator, Field, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
-from probe_agents.evaluation.folder import EPISODES, EPISODES_NEWER
+from probe_agents.evaluation.folder import EPISODES
 from probe_agents.evaluation.kpis import OVER_TUBES
 from probe_env.envs.contexts import SPLIT_SIZES, Split
 from probe_env.settings import Model, one_line_errors
@@ -45,7 +45,7 @@ class Compare(Model):
     @field_validator("metrics")
     @classmethod
     def _metrics_are_columns(cls, metrics: tuple[str, ...]) -> tuple[str, ...]:
-        known = {*EPISODES, *EPISODES_NEWER, *OVER_TUBES} - {"policy", "context", "seed"}
+        known = {*EPISODES, *OVER_TUBES} - {"policy", "context", "seed"}
         unknown = [name for name in metrics if not {name, name.removeprefix("in_"), name.removeprefix("back_")} & known]
         if unknown or not metrics:
             accepted = ", ".join(sorted(name for name in known if not name.startswith("pod_")))

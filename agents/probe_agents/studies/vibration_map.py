@@ -11,7 +11,7 @@ from typing import ClassVar, Final
 import numpy as np
 import pandas as pd
 
-from probe_agents.evaluation.folder import PROFILE, PROFILE_NEWER
+from probe_agents.evaluation.folder import PROFILE
 from probe_agents.evaluation.plan import Plan, run_plan
 from probe_agents.evaluation.workers import HERE, Workers
 from probe_agents.policies.cases import plant_at
@@ -108,7 +108,7 @@ def run(output: Path, trials: int = 2, tube: Path | None = None, workers: Worker
     fast = resolve_fidelity("fast", config.scene)
     plan = Plan({"wandering": Wandering(config)}, contexts, seeds, config, fast)
     episodes = run_plan(plan, output, workers=workers)
-    profile = read_parquet(output / "profile.parquet", PROFILE, PROFILE_NEWER)
+    profile = read_parquet(output / "profile.parquet", PROFILE)
     tubes = pd.DataFrame([tube.model_dump() for tube in contexts])[list(CONTEXT)]
     profile[list(CONTEXT)] = tubes.to_numpy()[profile["context"]]
     fitted, quality = fit_map(profile, scene=plant.scene if plant else None, measure=config.vibration_measure)
