@@ -113,7 +113,7 @@ def outcomes(policy, tubes):
     runner, ended = RolloutRunner(plan, deque(plan.episode_ids()), 12, 1), []
     while not runner.over:
         ended += runner.step()
-    return {tuple(record["unit"][:2]): (record["kpis"], record["profile"]) for record in ended}
+    return {tuple(record["episode"][:2]): (record["kpis"], record["profile"]) for record in ended}
 
 
 def test_shield_keeps_the_drive_in_hard_tubes():
