@@ -11,7 +11,7 @@ from probe_agents.app import schedules
 from probe_agents.app.forms import TubeForm, text_of, tube_fields, value_of
 from probe_agents.app.schedules import AIR, FEED, LENGTH, MISSING
 from probe_agents.cli import main
-from probe_agents.policies.cases import load_case
+from probe_agents.policies.cases import load_case, read_case
 from probe_agents.policies.catalogue import DATA
 from probe_agents.records.shipped import file_or_shipped, shipped_names
 from probe_agents.studies.searches import MapCost
@@ -201,7 +201,7 @@ def test_prediction_equals_the_objective_of_the_search():
 
 
 def test_every_offered_overlay_is_a_line():
-    case = load_case(EXAMPLE, "test", 1)
+    case = read_case(EXAMPLE, "test", 1)
     for name in (*schedules.BY_LENGTH, *shipped_names("schedules")):
         line = schedules.policy_line(name, case)
         assert len(line.length) == len(line.feed) == len(line.air) > 1, name

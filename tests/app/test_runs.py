@@ -13,7 +13,7 @@ from probe_agents.app.run_store import new_folder, read_request, stored_run, sto
 from probe_agents.app.runs import MANUAL, Command, ProbeShape, RunQueue, RunRequest, flaw_signal
 from probe_agents.evaluation.folder import episodes_of
 from probe_agents.evaluation.run import evaluate_plan, plan_of
-from probe_agents.policies.cases import load_case
+from probe_agents.policies.cases import read_case
 from probe_env.inspection.detection import threshold
 from probe_env.inspection.sensor import GROOVE, Sensor
 from probe_env.inspection.snr import FREQUENCY
@@ -65,7 +65,7 @@ def test_a_run_equals_the_evaluation_of_the_command_bit_for_bit(queue, tube, tmp
     run = queue.add(request(tmp_path / "app", tube))
     assert queue.wait(run, LONG)
     assert (run.state, run.done, run.info.planned) == ("finished", 4, 4)
-    plan = plan_of(run.request.policies, load_case(tube, "test", 2), 1, "fast")
+    plan = plan_of(run.request.policies, read_case(tube, "test", 2), 1, "fast")
     table = evaluate_plan(plan, tmp_path / "command")
     stored = pd.read_parquet(tmp_path / "app" / "episodes.parquet")
     pd.testing.assert_frame_equal(stored, table, check_exact=True)
@@ -136,7 +136,7 @@ def test_a_killed_worker_loses_no_finished_insertion(queue, tube, tmp_path):
     assert run.state == "finished"
     lines = (killed.output / "episodes.jsonl").read_text().splitlines()
     assert len(lines) == 2  # nothing lost, nothing repeated
-    plan = plan_of(killed.policies, load_case(tube, "test", 1), 1, "fast")
+    plan = plan_of(killed.policies, read_case(tube, "test", 1), 1, "fast")
     assert {key for key, *_ in plan.planned()} == episodes_of(killed.output).read().keys()
 
 

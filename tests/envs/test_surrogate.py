@@ -8,7 +8,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 from probe_agents.evaluation.plan import Plan, run_plan
-from probe_agents.policies.cases import load_case
+from probe_agents.policies.cases import load_case, read_case
 from probe_agents.policies.catalogue import named_policies
 from probe_agents.training.config import Training
 from probe_agents.vec_env import ProbeVecEnv
@@ -208,7 +208,7 @@ def test_other_environments_rendering_and_planning_are_refused():
 def test_a_plant_uses_the_map_next_to_its_file():
     env = gym.make("probe_env/Insertion-v1", fidelity="surrogate", tube="configs/tubes/snr.toml")
     episodes = env.unwrapped.episodes
-    expected = load_case(Path("snr"), "test", 1).vibration
+    expected = read_case(Path("snr"), "test", 1).vibration
     assert episodes.backend.map == expected != stored_map()
     env.reset(seed=0)
     info = env.step(env.action_space.sample())[4]

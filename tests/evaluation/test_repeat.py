@@ -28,7 +28,7 @@ from probe_agents.evaluation.repeat import (
 )
 from probe_agents.evaluation.report import descriptions, first_page, other_verdicts
 from probe_agents.evaluation.run import evaluate_plan, plan_of
-from probe_agents.policies.cases import load_case
+from probe_agents.policies.cases import read_case
 from probe_agents.policies.fixed import Scheduled
 from probe_agents.policies.wrappers import SpeedLimited
 from probe_env import Context, TaskConfig
@@ -255,7 +255,7 @@ def test_evaluate_applies_the_permitted_speed(tube, tmp_path, capsys):
     page = (folder / "report.html").read_text()
     assert "<b>mine</b> is not allowed: 11.0 m on average above 0.25 m/s (test_frequency), by up to 0.15 m/s;" in page
 
-    plan = plan_of([str(folder / "repeat-mine.csv")], load_case(tube, "test", 2), 1, "surrogate")
+    plan = plan_of([str(folder / "repeat-mine.csv")], read_case(tube, "test", 2), 1, "surrogate")
     run_plan(plan, tmp_path / "again", progress=False)
     again = read_evaluation(tmp_path / "again").profile
     inside = again["inserted_length"].between(10.0, 21.0)

@@ -13,12 +13,12 @@ from scipy.stats import norm
 
 from probe_agents.cli import main
 from probe_agents.plant.target import CLOSE, MapSearch, a90_target, find_schedule, upper_limit
-from probe_agents.policies.cases import load_case
+from probe_agents.policies.cases import read_case
 from probe_agents.records.tables import read_csv
 from probe_env.inspection.detection import threshold
 from probe_env.schedule import Schedule
 
-SNR = load_case(Path("snr"), "train")
+SNR = read_case(Path("snr"), "train")
 TUBES = [tube for tube in SNR.contexts if tube.helix_diameter in (1.0, 2.5)][:4]
 SENSOR = SNR.config.sensor
 

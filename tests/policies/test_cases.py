@@ -9,7 +9,7 @@ import pytest
 from probe_agents.cli import main
 from probe_agents.evaluation.plan import run_plan
 from probe_agents.evaluation.run import plan_of
-from probe_agents.policies.cases import load_case, map_of, with_probe
+from probe_agents.policies.cases import load_case, map_of, read_case, with_probe
 from probe_agents.policies.catalogue import make_policy
 from probe_agents.policies.on_map import LEAST_AIR, best_schedule_for, knots, least_air
 from probe_agents.policies.policy import Domain, OutsideDomain, ranges_of
@@ -131,7 +131,7 @@ def small(tmp_path_factory):
 
 
 def test_map_beside_the_tube_file_must_be_of_that_tube(small, tmp_path):
-    case = load_case(small, "test", 6)
+    case = read_case(small, "test", 6)
     assert map_file(small).name == "small-map.npz"
     assert case.vibration.scene == Plant.from_toml(small).scene
     assert case.vibration == VibrationMap.load(map_file(small)) != stored_map()
@@ -178,9 +178,9 @@ def test_a_file_that_is_not_valid_or_not_there_is_named(tmp_path, capsys):
     assert main(["evaluate", "constant", "--tube", str(broken)]) != 0
     error = capsys.readouterr().err.strip().splitlines()[-1]
     assert "broken.toml: contact.friction: value = 2.0 is outside the accepted range 0 to 1" in error
-    assert load_case(Path("example"), "test", 3).config.scene.tube.helix_length == 45.0
+    assert read_case(Path("example"), "test", 3).config.scene.tube.helix_length == 45.0
     with pytest.raises(FileNotFoundError) as missing:
-        load_case(Path("nowhere.toml"), "test")
+        read_case(Path("nowhere.toml"), "test")
     assert "shipped tubes: example" in missing.value.hint
 
 

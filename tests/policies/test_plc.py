@@ -9,7 +9,7 @@ import pytest
 
 from probe_agents.cli import main
 from probe_agents.plant.plc_export import recipe_of, structured_text, table, write_law
-from probe_agents.policies.cases import load_case
+from probe_agents.policies.cases import read_case
 from probe_agents.policies.catalogue import make_policy
 from probe_agents.policies.plc_law import (
     CREDIBLE,
@@ -238,7 +238,7 @@ def test_law_warns_of_a_plant_outside_its_range(tmp_path):
         ("[tube]\ninner_diameter = 22.5e-3\n", "the law runs outside its range: inner_diameter 0.0225 m (0.0242 m)"),
     ):
         file.write_text(text)
-        case = load_case(file, "test")
+        case = read_case(file, "test")
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             write_law(read_constants(), PlantData.of(case.config), case, tmp_path / "law.st", None)

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from probe_agents.cli import main
-from probe_agents.policies.cases import load_case, map_file
+from probe_agents.policies.cases import map_file, read_case
 from probe_agents.studies import vibration_map as maker
 from probe_agents.studies.vibration_map import SEGMENT, SMEARED, fit_map
 from probe_env import Plant, Scene
@@ -56,7 +56,7 @@ def test_a_tube_of_your_own_has_its_map_and_schedules(tmp_path: Path, monkeypatc
     file = tmp_path / "small.toml"
     file.write_text("[tube]\nhelix_diameter = 0.8\nhelix_length = 7.0\ninner_diameter = 23e-3\n")
     assert maker.run(tmp_path / "map", trials=1, tube=file) == map_file(file)
-    case, loaded = load_case(file, "test", 6), VibrationMap.load(map_file(file))
+    case, loaded = read_case(file, "test", 6), VibrationMap.load(map_file(file))
     assert case.vibration == loaded
     assert loaded.scene == Plant.from_toml(file).scene
     assert loaded.digest != stored_map().digest

@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from probe_agents.evaluation.plan import EpisodeId, Plan
 from probe_agents.evaluation.run import plan_of
-from probe_agents.policies.cases import load_case
+from probe_agents.policies.cases import read_case
 from probe_agents.policies.catalogue import name_and_spec
 from probe_agents.policies.fixed import STUDY_AIR, STUDY_FEED
 from probe_agents.records.models import Stored
@@ -105,7 +105,7 @@ class RunRequest(Stored):
 
     def plan(self) -> Plan:
         """The evaluation plan."""
-        case = load_case(self.tube, "test", self.limit)
+        case = read_case(self.tube, "test", self.limit)
         plan = plan_of(self.policies or ("constant",), case, 1, self.fidelity)
         manual = {MANUAL: ManualPolicy(plan.config)} if self.manual else {}
         return replace(plan, policies=manual | (dict(plan.policies) if self.policies else {}))

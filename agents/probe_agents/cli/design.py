@@ -46,7 +46,7 @@ class Compare:
         """Run what is missing, store, print."""
         from probe_agents.design.compare import compare, print_comparison
         from probe_agents.design.trials import DesignTrials
-        from probe_agents.policies.cases import load_case
+        from probe_agents.policies.cases import read_case
         from probe_agents.records.shipped import file_or_shipped
         from probe_agents.terminal.names import checked_name, name_of
         from probe_env.fidelity import resolve_fidelity
@@ -57,7 +57,7 @@ class Compare:
             checked_name(stem if stems.count(stem) == 1 else f"{path.parent.name}/{stem}", "design", "rename the file")
             for path, stem in zip(paths, stems, strict=True)
         ]
-        case = load_case(self.tube, self.contexts, self.limit)
+        case = read_case(self.tube, self.contexts, self.limit)
         designs = {name: _design(path, case.config.scene.probe) for name, path in zip(names, paths, strict=True)}
         if len(designs) != len(paths):
             raise ValueError(f"designs = {', '.join(map(str, self.designs))}: two have the same name")
@@ -114,9 +114,9 @@ class DesignSearch:
         """Search, store, print."""
         from probe_agents.design.problem import design_problem
         from probe_agents.design.search import run_design_search
-        from probe_agents.policies.cases import load_case
+        from probe_agents.policies.cases import read_case
 
-        case = load_case(self.tube, self.contexts, self.limit)
+        case = read_case(self.tube, self.contexts, self.limit)
         problem = design_problem(self.feed, self.full, case, self.fidelity)
         for cut in problem.cuts:
             print(f"probe-env: note: {cut}", file=sys.stderr)

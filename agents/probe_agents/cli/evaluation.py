@@ -183,9 +183,9 @@ class Signal:
     def run(self) -> None:
         """Simulate, draw, write, print."""
         from probe_agents.evaluation.signal import draw_curves, run_signal
-        from probe_agents.policies.cases import load_case
+        from probe_agents.policies.cases import read_case
 
-        case = load_case(self.tube, self.contexts)
+        case = read_case(self.tube, self.contexts)
         if self.evaluation:
             draw_curves(self.evaluation, self.output)
         run_signal(

@@ -59,7 +59,7 @@ class ReadLog:
         """Read, write, print."""
         from probe_agents.plant.cleaning import Bounds
         from probe_agents.plant.logs import check_picture, draw_log, print_log, read_log, write_repeat
-        from probe_agents.policies.cases import load_case
+        from probe_agents.policies.cases import read_case
         from probe_agents.records.atomic import STANDARD_OUTPUT, write_text
         from probe_agents.records.shipped import file_or_shipped
         from probe_agents.terminal.names import name_of
@@ -74,7 +74,7 @@ class ReadLog:
         for target in (output, self.plot):
             if target and (target.resolve() == path.resolve() or (target.exists() and target.samefile(path))):
                 raise ValueError(f"{str(target)!r} is the log itself; choose another file")
-        case = None if self.tube is None else load_case(self.tube, "test")
+        case = None if self.tube is None else read_case(self.tube, "test")
         if case and case.config.instrument is None:
             raise ValueError(
                 f"{self.tube}: instrument: missing, so the log cannot be judged: add the table [instrument]"
@@ -254,14 +254,14 @@ class Plc:
     def run(self) -> None:
         """Write, print."""
         from probe_agents.plant.plc_export import print_law, print_recipe, recipe_of, write_law
-        from probe_agents.policies.cases import load_case, plant_at
+        from probe_agents.policies.cases import plant_at, read_case
         from probe_agents.policies.plc_law import PlantData, read_constants, read_trim
         from probe_agents.records.atomic import STANDARD_OUTPUT
 
         if self.trimmed and not self.st:
             raise ValueError("trimmed = True needs --st: a table has no memory for the integral action")
         constants = read_constants()
-        case = load_case(self.tube, "test")
+        case = read_case(self.tube, "test")
         trim = read_trim() if self.trimmed else None
         written = [file for file in (self.st, self.csv) if file]
         printed = STANDARD_OUTPUT.isdisjoint(written)

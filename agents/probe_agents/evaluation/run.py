@@ -30,7 +30,7 @@ from probe_agents.evaluation.statistics import (
     summarise,
 )
 from probe_agents.evaluation.workers import HERE, Workers
-from probe_agents.policies.cases import EvaluationCase, load_case
+from probe_agents.policies.cases import EvaluationCase, read_case
 from probe_agents.policies.catalogue import domains_of, is_schedule_file, name_and_spec, named_policies, user_policies
 from probe_agents.policies.policy import check_domains
 from probe_agents.policies.wrappers import RoundTripPolicy, SpeedLimited
@@ -81,7 +81,7 @@ def evaluate(
         ValueError: an argument is not valid; nothing was run.
         FileNotFoundError: no such file.
     """
-    case = load_case(tube, contexts, limit, passes, inspects)
+    case = read_case(tube, contexts, limit, passes, inspects)
     plan = plan_of(policies, case, seeds, fidelity, probes, strict)
     if output is None:
         return run_plan(plan, None, workers=workers)

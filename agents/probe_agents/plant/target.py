@@ -33,7 +33,7 @@ from probe_agents.plant.recommendation import (
     settings_of,
     write_description,
 )
-from probe_agents.policies.cases import load_case, map_of
+from probe_agents.policies.cases import map_of, read_case
 from probe_agents.policies.fixed import Scheduled
 from probe_agents.policies.policy import Domain, OutsideDomain
 from probe_agents.records.atomic import write_atomically
@@ -250,7 +250,7 @@ def recommend_for_target(
         ValueError: the plant, or a schedule to compare with, is not valid; nothing is written. Or no schedule is
             within the target: NAME-a90.csv is written.
     """
-    case = load_case(tube, "train")
+    case = read_case(tube, "train")
     config, plant = case.config, case.plant
     if config.returns:
         raise ValueError("task.passes = 'both': --find is for the insertion alone; set passes = \"in\"")

@@ -73,8 +73,26 @@ def with_probe(config: TaskConfig, name: str) -> TaskConfig:
     return config.model_copy(update={"scene": {"probe": probe, "carrier_length": carrier}})
 
 
+def read_case(
+    plant_file: Path | None,
+    split: Split,
+    limit: int = 0,
+    passes: Literal["in", "both"] | None = None,
+    inspects: Literal["in", "back", "best"] | None = None,
+) -> EvaluationCase:
+    """``load_case`` of a plant's file, or of the name of a shipped one, with the vibration map next to it."""
+    plant = plant_at(plant_file)
+    if plant_file is None or plant is None:
+        return load_case(None, split, limit, passes, inspects)
+    case = load_case(plant, split, limit, passes, inspects, map_of(plant_file, plant))
+    name = checked_name(name_of(plant_file), "a tube's file is called")
+    bore, length = 1e3 * plant.tube.inner_diameter, plant.tube.helix_length
+    digest = hashlib.sha256(plant.model_dump_json().encode()).hexdigest()[:12]
+    return case._replace(plant_label=PlantLabel(name, digest, f"{name} (bore {bore:g} mm, helix {length:g} m)"))
+
+
 def load_case(
-    plant: Plant | Path | None,
+    plant: Plant | None,
     split: Split,
     limit: int = 0,
     passes: Literal["in", "both"] | None = None,
@@ -84,21 +102,14 @@ def load_case(
     """The case of a shipped list of tubes, or of as many tubes sampled from a plant's ranges; each list has its own.
 
     Args:
-        plant: the plant, its file or the name of a shipped one; None: table 2's, in the shipped lists.
+        plant: the plant; None: table 2's, in the shipped lists.
         split: "train", "validation" or "test".
         limit: number of tubes, from the start of the list; 0: all.
         passes: "in", or "both" with twice the time limit; default: as in the plant's file.
         inspects: pass that is scored if passes = "both"; default: as in the file, or the better one.
-        vibration: vibration map; default: the one next to the plant's file, else the shipped one.
+        vibration: vibration map; default: the shipped one.
     """
-    label, most = TABLE_2, SPLIT_SIZES[split]
-    if isinstance(plant, Path):
-        plant_file, plant = plant, Plant.from_toml(file_or_shipped("tubes", plant))
-        vibration = vibration or map_of(plant_file, plant)
-        name = checked_name(name_of(plant_file), "a tube's file is called")
-        bore, length = 1e3 * plant.tube.inner_diameter, plant.tube.helix_length
-        digest = hashlib.sha256(plant.model_dump_json().encode()).hexdigest()[:12]
-        label = PlantLabel(name, digest, f"{name} (bore {bore:g} mm, helix {length:g} m)")
+    most = SPLIT_SIZES[split]
     if plant is None:
         config, contexts = TaskConfig(), spread_contexts(split, limit)
     elif 0 <= limit <= most:
@@ -113,4 +124,4 @@ def load_case(
     elif not config.returns:
         update = {"passes": "both", "inspects": inspects or "best", "time_limit": 2.0 * config.time_limit}
     config = config.model_copy(update=update) if update else config
-    return EvaluationCase(config, contexts, vibration or stored_map(), plant, label)
+    return EvaluationCase(config, contexts, vibration or stored_map(), plant)

@@ -23,7 +23,7 @@ from probe_agents.evaluation.plan import Plan, run_plan
 from probe_agents.evaluation.statistics import a90_95, paired_difference
 from probe_agents.evaluation.workers import HERE, Workers
 from probe_agents.plant.recommendation import safe_air
-from probe_agents.policies.cases import EvaluationCase, load_case, map_of, plant_at
+from probe_agents.policies.cases import EvaluationCase, load_case, map_of, plant_at, read_case
 from probe_agents.policies.fixed import STUDY_AIR, FixedPolicy, Scheduled
 from probe_agents.policies.on_map import FIRST, least_air
 from probe_agents.policies.plc_law import Constants, PlcIntegral, PlcProportional, Trim
@@ -273,7 +273,7 @@ def search_round_trip(
     Raises:
         FileError: a stored episode is damaged, or of another task.
     """
-    whole, played = load_case(tube, "train", 0, "both"), output / "simulated"
+    whole, played = read_case(tube, "train", 0, "both"), output / "simulated"
     train, unseen = whole._replace(contexts=whole.contexts[:limit]), load_case(whole.plant, "validation", 0, "both")
     config = whole.config.full_observation
     space = ranges(config, whole.contexts)
