@@ -319,15 +319,15 @@ class InspectionEnv(ProbeEnv):
     As `Insertion-v1`: magnitude of feed speed and air supply, in the direction of the current pass.
 
     ## Observation Space
-    As `Insertion-v1`; feed speed and air supply are negative on withdrawal. `way` follows before any privileged
+    As `Insertion-v1`; feed speed and air supply are negative on withdrawal. `direction` follows before any privileged
     observations: 1 on insertion, -1 on withdrawal.
 
     ## Rewards
-    As `Insertion-v1`, with time and air of both passes. `config={"inspects": "best"}` (default): if a metre is quieter
-    on withdrawal than on insertion, its vibration cost is reduced to that of withdrawal. `"in"` scores insertion only,
-    `"back"` withdrawal only. Detection KPIs use the same passes: with `"best"` a flaw is detected if either pass calls
-    it, each with half of the false calls. In all three, uninspected is the remaining length of both passes when the
-    episode ends: a probe that stays in the tube is charged for the metres that it was not withdrawn.
+    As `Insertion-v1`, with time and air of both passes. `config={"scored_pass": "best"}` (default): if a metre is
+    quieter on withdrawal than on insertion, its vibration cost is reduced to that of withdrawal. `"insertion"` and
+    `"withdrawal"` score one pass only. Detection KPIs use the same passes: with `"best"` a flaw is detected if either
+    pass calls it, each with half of the false calls. In all three, uninspected is the remaining length of both passes
+    when the episode ends: a probe that stays in the tube is charged for the metres that it was not withdrawn.
 
     ## Episode End
     Terminated when the probe is back at its initial length, on lost drive during insertion, and when the simulation

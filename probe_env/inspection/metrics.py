@@ -134,7 +134,7 @@ TURN: Final = 6.0
 Segment = Literal["in", "turn", "back"]
 """Parts of an inspection with a threshold each."""
 SEGMENTS: Final[dict[str, tuple[Segment, ...]]] = {
-    "in": ("in",), "back": ("turn", "back"), "best": ("in", "turn", "back")
+    "insertion": ("in",), "withdrawal": ("turn", "back"), "best": ("in", "turn", "back")
 }  # fmt: skip
 """Scored pass -> its segments."""
 
@@ -142,7 +142,7 @@ SEGMENTS: Final[dict[str, tuple[Segment, ...]]] = {
 class RoundTripMetrics:
     """Detection metrics of a round trip; ``scored_pass`` is the pass that counts, or "best" for both."""
 
-    def __init__(self, sensor: Sensor, scored_pass: Literal["in", "back", "best"]) -> None:
+    def __init__(self, sensor: Sensor, scored_pass: Literal["insertion", "withdrawal", "best"]) -> None:
         share = 0.5 if scored_pass == "best" else 1.0
         self._sensor = sensor.model_copy(update={"false_calls": share * sensor.false_calls})
         self.segments: Final = {segment: DetectionMetrics(self._sensor) for segment in SEGMENTS[scored_pass]}
@@ -158,7 +158,7 @@ class RoundTripMetrics:
         """As ``DetectionMetrics.kpis``; of both passes S/N and peaks are those of the better one at each place."""
         inspected = {segment: metrics for segment, metrics in self.segments.items() if metrics.lengths}
         thresholds = {segment: metrics.threshold(tube_length) for segment, metrics in inspected.items()}
-        passes = [self._intervals(SEGMENTS[direction], thresholds) for direction in ("in", "back")]
+        passes = [self._intervals(SEGMENTS[direction], thresholds) for direction in ("insertion", "withdrawal")]
         edges = np.unique(np.concatenate([ends.ravel() for ends, _ in passes]))
         found = [_values_at(*intervals, 0.5 * (edges[1:] + edges[:-1])) for intervals in passes]
         covered, values = np.any([there for there, _ in found], axis=0), np.array([rows for _, rows in found])

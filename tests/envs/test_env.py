@@ -181,6 +181,10 @@ REFUSED = [
     ("Insertion", {}, {"fricton": 0.1}, "fricton: there is no such field"),
     ("Insertion", {}, {"friction": 7.0}, "7.0 is outside"),
     ("Insertion", {}, {"carrier_length": 7.0}, "carrier_length is not"),
+    ("Insertion", {}, {"context": 3}, r"options\['context'\] = 3 is neither a Context nor a mapping"),
+    ("Insertion", {}, {"context": "x"}, r"options\['context'\] = 'x' is neither"),
+    ("Insertion", {}, {"context": [1.0]}, r"options\['context'\] = \[1.0\] is neither"),
+    ("Insertion", {}, {"probe": 3}, r"options\['probe'\] = 3 is not a mapping"),
 ]
 
 

@@ -19,7 +19,7 @@ from probe_env.schedule import Schedule
 
 SHORT = {"tube": {"helix_length": 8.0}}
 BOTH = TaskConfig(passes="both", time_limit=1800.0)
-SCORED = ("in", "back", "best")
+SCORED = ("insertion", "withdrawal", "best")
 HARD = Context(friction=0.2, helix_diameter=1.0)
 
 
@@ -35,9 +35,9 @@ def period_to(end):
     )  # fmt: skip
 
 
-def started(inspects="best"):
+def started(scored_pass="best"):
     """Scorer of an inspection of 4 m from 5 m on."""
-    scorer = RoundTripScorer(1, TaskConfig(passes="both", inspects=inspects), samples=False)
+    scorer = RoundTripScorer(1, TaskConfig(passes="both", scored_pass=scored_pass), samples=False)
     scorer.begin(0, 5.0, 9.0, None)
     return scorer
 
@@ -47,9 +47,9 @@ def sums_of(scorer, end, squares):
     return scorer.sums_over_length(period_to(end), np.array([[1.0, squares, squares <= 1.0, squares, squares]]))[0, :4]
 
 
-def round_trip(inspects, insertion, withdrawal):
+def round_trip(scored_pass, insertion, withdrawal):
     """Sums of a round trip in half metres, with squares for each metre of both passes."""
-    scorer, total = started(inspects), np.zeros(4)
+    scorer, total = started(scored_pass), np.zeros(4)
     for end in np.arange(5.5, 9.01, 0.5):
         total += sums_of(scorer, end, insertion[int(end - 5.25)])
     assert not scorer.complete(ONE, period_to(9.0)).any()
@@ -60,12 +60,14 @@ def round_trip(inspects, insertion, withdrawal):
 
 
 def test_a_metre_is_scored_by_the_selected_pass():
-    for inspects, expected in (
-        ("in", [4.0, 0.5 + 0.9 + 4.0 + 9.0, 2.0, 14.4]),
-        ("back", [4.0, 0.2 + 3.0 + 0.6 + 9.0, 2.0, 12.8]),
+    for scored_pass, expected in (
+        ("insertion", [4.0, 0.5 + 0.9 + 4.0 + 9.0, 2.0, 14.4]),
+        ("withdrawal", [4.0, 0.2 + 3.0 + 0.6 + 9.0, 2.0, 12.8]),
         ("best", [4.0, 0.2 + 0.9 + 0.6 + 9.0, 3.0, 10.7]),
     ):
-        assert round_trip(inspects, (0.5, 0.9, 4.0, 9.0), (0.2, 3.0, 0.6, 9.0)) == pytest.approx(expected), inspects
+        assert round_trip(scored_pass, (0.5, 0.9, 4.0, 9.0), (0.2, 3.0, 0.6, 9.0)) == pytest.approx(expected), (
+            scored_pass
+        )
 
 
 def test_the_score_does_not_depend_on_the_division_into_periods():
@@ -81,8 +83,8 @@ def test_the_score_does_not_depend_on_the_division_into_periods():
 
 def test_uninspected_is_the_remaining_length_of_both_passes():
     """In 9 m from 5 m on, for every scored pass."""
-    for inspects in SCORED:
-        scorer, uninspected = started(inspects), []
+    for scored_pass in SCORED:
+        scorer, uninspected = started(scored_pass), []
         for end in (7.0, 8.9, 9.0, 8.0, 8.5, 6.0, 4.9):  # withdrawn, inserted again, and a little too far
             sums_of(scorer, end, 1.0)
             scorer.complete(ONE & (end == 9.0), period_to(end))
@@ -103,7 +105,7 @@ def play(back=0.4, **config):
         observations.append(observation)
         infos.append(info)
         rewards.append(reward)
-        way, over = info["way"], terminated or truncated
+        way, over = info["direction"], terminated or truncated
     return env, np.array(observations), infos, rewards
 
 
@@ -114,23 +116,23 @@ def episode():
 
 def test_probe_that_stays_earns_less_than_one_that_returns():
     """With the time limit just before the turn, and after it."""
-    for inspects in SCORED:
-        whole = play(inspects=inspects)[2][-1]["episode_kpis"]["reward"]
+    for scored_pass in SCORED:
+        whole = play(scored_pass=scored_pass)[2][-1]["episode_kpis"]["reward"]
         for seconds in (7.0, 12.0):
-            env, _, infos, _ = play(inspects=inspects, time_limit=seconds)
+            env, _, infos, _ = play(scored_pass=scored_pass, time_limit=seconds)
             info, inserting = infos[-1], seconds < 7.5
-            assert info["way"] == (1.0 if inserting else -1.0)
+            assert info["direction"] == (1.0 if inserting else -1.0)
             assert info["episode_kpis"]["complete"] == info["episode_kpis"]["lost_drive"] == 0.0
             uninspected = (8.0 - info["inserted_length"]) + 3.0 if inserting else info["inserted_length"] - 5.0
             expected = -uninspected_weight(env.config) * uninspected
-            assert info["reward_terms"]["uninspected"] == pytest.approx(expected, rel=1e-5), (inspects, seconds)
-            assert info["episode_kpis"]["reward"] < whole - 5.0, (inspects, seconds)
+            assert info["reward_terms"]["uninspected"] == pytest.approx(expected, rel=1e-5), (scored_pass, seconds)
+            assert info["episode_kpis"]["reward"] < whole - 5.0, (scored_pass, seconds)
 
 
 def test_probe_turns_at_the_end_and_returns(episode):
     env, observations, infos, rewards = episode
     values = in_si_units(env.config, observations)
-    lengths, way = values["inserted_length"], values["way"]
+    lengths, way = values["inserted_length"], values["direction"]
     assert way[0] == 1.0
     assert way[-1] == -1.0
     assert lengths.max() == pytest.approx(8.0)
@@ -154,12 +156,12 @@ def test_probe_turns_at_the_end_and_returns(episode):
 def test_both_passes_detect_what_either_detects():
     """With half of the false calls each: at least the better pass, at most the sum of both."""
     curves = {}
-    for inspects, calls in (("in", 0.05), ("back", 0.05), ("best", 0.1)):
-        env, _, infos, _ = play(back=0.1, inspects=inspects, sensor={"false_calls": calls})
-        curves[inspects] = infos[-1]["episode_kpis"]["pod"]
+    for scored_pass, calls in (("insertion", 0.05), ("withdrawal", 0.05), ("best", 0.1)):
+        env, _, infos, _ = play(back=0.1, scored_pass=scored_pass, sensor={"false_calls": calls})
+        curves[scored_pass] = infos[-1]["episode_kpis"]["pod"]
     detection = env.episodes.scorer.signals[0].detection
-    back = [info["inserted_length"] for info in infos[1:] if info["way"] < 0.0]
-    better, sum_ = np.maximum(curves["in"], curves["back"]), curves["in"] + curves["back"]
+    back = [info["inserted_length"] for info in infos[1:] if info["direction"] < 0.0]
+    better, sum_ = np.maximum(*(curves[name] for name in SCORED[:2])), sum(curves[name] for name in SCORED[:2])
     assert ((curves["best"] >= better - 1e-9) & (curves["best"] <= sum_ + 1e-9)).all()
     assert (curves["best"] > better + 1e-3).any()
     metres = {segment: sum(metrics.lengths) for segment, metrics in detection.segments.items()}
@@ -179,13 +181,13 @@ def test_insertion_policies_withdraw_as_fast_as_possible(tmp_path):
     observation, _ = episodes.reset([0], {0: np.random.default_rng(0)}, {0: {"context": HARD}})
     back = observation.copy()
     names = list(config.observations)
-    back[:, names.index("way")] = -1.0
+    back[:, names.index("direction")] = -1.0
     for name in ("feed_speed", "air_supply_rate", "root_tension"):
         back[:, names.index(name)] *= -1.0
     for spec, speed, air in (("pi", 0.4, 63.0), (str(path), 0.1, 40.0), ("tension-scheduled", 0.4, 63.0)):
         policy = make_policy(spec, config)
         both, _ = policy.predict(np.concatenate([observation, back]))
-        alone, _ = policy.insertion.predict(np.delete(observation, names.index("way"), axis=1))
+        alone, _ = policy.insertion.predict(np.delete(observation, names.index("direction"), axis=1))
         assert both[0] == pytest.approx(alone[0])
         feed, supply = config.targets(both)[1]
         assert feed == pytest.approx(speed, rel=1e-5)
@@ -225,11 +227,11 @@ class TestTimeLapse:
         env, observations, infos, _ = episode
         values = in_si_units(env.config, observations)
         speed = np.abs(values["feed_speed"])
-        steady = np.flatnonzero((speed[1:] == speed[:-1]) & (values["way"][1:] == values["way"][:-1])) + 1
+        steady = np.flatnonzero((speed[1:] == speed[:-1]) & (values["direction"][1:] == values["direction"][:-1])) + 1
         travelled = np.abs(np.diff(values["inserted_length"]))[steady[:-1] - 1]
         assert travelled == pytest.approx(0.4 * env.config.period, rel=1e-5)  # in either direction
         simulator = env.episodes.simulated().simulators[0]
-        turned = sum(info["way"] < 0.0 for info in infos[:-1])  # periods that began on withdrawal
+        turned = sum(info["direction"] < 0.0 for info in infos[:-1])  # periods that began on withdrawal
         settled = env.config.settle_time
         inserting = (len(infos) - 1 - turned) * env.config.period / 4.0
         assert simulator.time == pytest.approx(settled + inserting + turned * env.config.period)

@@ -36,7 +36,8 @@ def started(count, config=CONFIG, noise=None):
 
 def test_spaces_and_infos_are_those_of_a_simulated_insertion():
     env = gym.make("probe_env/Insertion-v1", fidelity="surrogate", contexts="train").unwrapped
-    check_env(env, skip_render_check=True)
+    check_env(env)
+    assert type(env).metadata["render_modes"]
     simulated = gym.make("probe_env/Insertion-v1", fidelity="standard", contexts="train")
     assert (env.observation_space, env.action_space) == (simulated.observation_space, simulated.action_space)
     for one in (env, simulated):

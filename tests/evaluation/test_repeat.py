@@ -129,7 +129,13 @@ def test_axial_vibration_is_reported_beside_the_feed():
 
 def test_withdrawals_and_constant_lengths_are_not_judged():
     both = {"passes": "both", "time_limit": 1e3}
-    changes = ({}, {"growing": False}, both | {"inspects": "back"}, both | {"inspects": "best"}, {"instrument": None})
+    changes = (
+        {},
+        {"growing": False},
+        both | {"scored_pass": "withdrawal"},
+        both | {"scored_pass": "best"},
+        {"instrument": None},
+    )
     assert [is_judged(CONFIG.model_copy(update=change)) for change in changes] == [True, False, False, True, False]
 
 

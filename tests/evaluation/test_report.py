@@ -318,14 +318,14 @@ def test_passes_follow_the_tube_file_and_options(tmp_path, monkeypatch, capsys):
     tube.write_text('[task]\npasses = "both"\ninspects = "back"\ntime_limit = 1000.0\n')
     monkeypatch.setattr("probe_agents.evaluation.run.evaluate_plan", lambda plan, *rest: plans.append(plan))
     options = ["evaluate", "constant", "--limit", "1", "--fidelity", "fast"]
-    for more in ([], ["--passes", "in"], ["--inspects", "in"], ["--passes", "both"]):
+    for more in ([], ["--passes", "in"], ["--scored-pass", "insertion"], ["--passes", "both"]):
         assert main([*options, "--tube", str(tube), *more]) == 0
     assert [plan.config.passes for plan in plans] == ["both", "in", "both", "both"]
-    assert [plan.config.inspects for plan in plans] == ["back", "back", "in", "back"]
+    assert [plan.config.scored_pass for plan in plans] == ["withdrawal", "withdrawal", "insertion", "withdrawal"]
     assert {plan.config.time_limit for plan in plans} == {1000.0}
     assert plans[0].fidelity == ROUND_TRIP_PRESETS["fast"]
-    assert main([*options, "--inspects", "in"]) == 2
-    assert "inspects = 'in' needs --passes both" in capsys.readouterr().err
+    assert main([*options, "--scored-pass", "insertion"]) == 2
+    assert "scored_pass = 'insertion' needs --passes both" in capsys.readouterr().err
 
 
 def test_a_lone_schedule_is_compared_with_the_best_one(tmp_path, monkeypatch, capsys):
@@ -360,7 +360,10 @@ def test_the_page_names_passes_and_strained_cables(stored):
     assert "feed 0: the root" not in page
     assert "<dt>passes</dt>" not in page
     done = read_evaluation(stored)
-    both = {"task": TaskConfig(passes="both", inspects="back"), "fidelity": ROUND_TRIP_PRESETS["fast"].model_dump()}
+    both = {
+        "task": TaskConfig(passes="both", scored_pass="withdrawal"),
+        "fidelity": ROUND_TRIP_PRESETS["fast"].model_dump(),
+    }
     facts = report._facts(replace(done, setting=done.setting.model_copy(update=both)))
     assert facts["passes"] == "in and back; scored is the withdrawal"
     assert (facts["simulated with"], facts["insertions"]) == ("fast", "12, of 2 policies in the same 3 tubes")

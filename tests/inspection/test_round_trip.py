@@ -24,7 +24,8 @@ def pod(snr, z=HALF):
 
 
 @pytest.mark.parametrize(
-    ("scored_pass", "segment", "step"), [("in", "in", 1.0), ("back", "back", -1.0), ("back", "turn", -1.0)]
+    ("scored_pass", "segment", "step"),
+    [("insertion", "in", 1.0), ("withdrawal", "back", -1.0), ("withdrawal", "turn", -1.0)],
 )
 def test_one_pass_has_the_metrics_of_an_insertion(scored_pass, segment, step):
     """Spiky noise in intervals of different lengths, in the order of the pass."""
@@ -79,7 +80,7 @@ def test_intervals_may_end_anywhere():
 def test_vibration_of_the_turn_raises_no_threshold_elsewhere():
     """Spikes in the metres after the turn, silence in the others, which have the threshold without a turn."""
     rng = np.random.default_rng(0)
-    shaken, alone = RoundTripMetrics(SENSOR, "back"), RoundTripMetrics(SENSOR, "back")
+    shaken, alone = RoundTripMetrics(SENSOR, "withdrawal"), RoundTripMetrics(SENSOR, "withdrawal")
     for metre in range(30):
         shaken.add("turn", 30.0 + metre, 31.0 + metre, signal(1e-9, 0.9, excursions=4.0 * rng.standard_t(3, COUNT)))
     for metre in range(25):

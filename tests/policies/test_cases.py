@@ -166,10 +166,10 @@ def test_passes_and_what_is_scored():
     usual = load_case(None, "test", 1).config
     assert (usual.passes, usual.time_limit) == ("in", TaskConfig().time_limit)
     both = load_case(None, "test", 1, "both").config
-    assert (both.passes, both.inspects, both.time_limit) == ("both", "best", 2.0 * usual.time_limit)
-    assert load_case(None, "test", 1, "both", "back").config.inspects == "back"
-    with pytest.raises(ValueError, match="inspects = 'back' needs --passes both"):
-        load_case(None, "test", 1, "in", "back")
+    assert (both.passes, both.scored_pass, both.time_limit) == ("both", "best", 2.0 * usual.time_limit)
+    assert load_case(None, "test", 1, "both", "withdrawal").config.scored_pass == "withdrawal"
+    with pytest.raises(ValueError, match="scored_pass = 'withdrawal' needs --passes both"):
+        load_case(None, "test", 1, "in", "withdrawal")
 
 
 def test_a_file_that_is_not_valid_or_not_there_is_named(tmp_path, capsys):

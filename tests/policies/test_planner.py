@@ -53,10 +53,10 @@ def running(
     return episodes
 
 
-def task(inspects: ScoredPass = "best", measure: str = "displacement", **changes: object) -> TaskConfig:
+def task(scored_pass: ScoredPass = "best", measure: str = "displacement", **changes: object) -> TaskConfig:
     """Both ways in a short helix."""
     scene = {"carrier_length": 2.5, "tube": {"helix_length": LENGTH}}
-    return TaskConfig(passes="both", inspects=inspects, vibration_measure=measure, scene=scene, **changes)
+    return TaskConfig(passes="both", scored_pass=scored_pass, vibration_measure=measure, scene=scene, **changes)
 
 
 def test_candidates_of_the_planner_depend_on_time_only() -> None:
@@ -247,10 +247,10 @@ def rest(episodes: Episodes, feed: float = 0.4, air: float = 30.0 / 3600.0) -> F
     return remaining_reward_of_both_passes(episodes, np.tile([feed, air], (len(episodes), 1)))
 
 
-@pytest.mark.parametrize(("inspects", "measure"), [("best", "displacement"), ("back", "snr")])
-def test_copies_of_an_episode_do_as_it_does(inspects: ScoredPass, measure: str) -> None:
+@pytest.mark.parametrize(("scored_pass", "measure"), [("best", "displacement"), ("withdrawal", "snr")])
+def test_copies_of_an_episode_do_as_it_does(scored_pass: ScoredPass, measure: str) -> None:
     """From the way in over the turn to the end: every observation, reward and ending, to the last bit."""
-    config = task(inspects, measure, sensor_dropout=0.3, delay_periods=1)
+    config = task(scored_pass, measure, sensor_dropout=0.3, delay_periods=1)
     episodes = begun(config)
     for _ in range(3):
         episodes.step(held(config, 0.4, 0.02))
@@ -272,10 +272,10 @@ def test_copies_of_an_episode_do_as_it_does(inspects: ScoredPass, measure: str) 
     np.testing.assert_array_equal(steps[0].reward, steps[1].reward)
 
 
-@pytest.mark.parametrize("inspects", ["best", pytest.param("back", marks=pytest.mark.slow)])
-def test_remaining_reward_bounds_every_episode(inspects: ScoredPass) -> None:
+@pytest.mark.parametrize("scored_pass", ["best", pytest.param("withdrawal", marks=pytest.mark.slow)])
+def test_remaining_reward_bounds_every_episode(scored_pass: ScoredPass) -> None:
     """At every period of inspections that are fast and quiet, and shaken by their feed."""
-    config = task(inspects)
+    config = task(scored_pass)
     rng = np.random.default_rng(5)
     for feed in (0.4, None):
         episodes = begun(config)
@@ -287,7 +287,7 @@ def test_remaining_reward_bounds_every_episode(inspects: ScoredPass) -> None:
         to_come = np.cumsum(rewards[::-1], axis=0)[::-1]
         assert (to_come <= np.array(worth[:-1]) + 1e-9).all()
         np.testing.assert_array_equal(worth[-1], 0.0)
-        if feed == 0.4 and inspects == "best":  # and by little: the ramps, the air, what the turn shakes
+        if feed == 0.4 and scored_pass == "best":  # and by little: the ramps, the air, what the turn shakes
             assert (to_come[0] > worth[0] - 0.6).all()
 
 
@@ -348,8 +348,8 @@ def test_planners_by_name_and_their_refusals() -> None:
     assert make_policy("planner-blurred", config).describe()["blur"] == BLUR
     with pytest.raises(ValueError, match="'planner-estimated' plans the insertion only; planners for --passes both"):
         make_policy("planner-estimated", config)
-    with pytest.raises(ValueError, match="inspects = 'in': the withdrawal is not scored"):
-        make_policy("planner", task("in"))
+    with pytest.raises(ValueError, match="scored_pass = 'insertion': the withdrawal is not scored"):
+        make_policy("planner", task("insertion"))
     for each, kind in ((CONFIG, InsertionPlanner), (config, InspectionPlanner)):
         with pytest.raises(ValueError, match="candidates = 0 is outside the accepted range 1 to 1000"):
             kind(each, candidates=0)

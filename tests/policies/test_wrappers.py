@@ -164,11 +164,13 @@ def test_feed_is_limited_to_the_permitted_speed():
     assert steps.targets(limited)[:, 0] == pytest.approx([0.2, 0.2, 0.2, 0.1])
 
 
-@pytest.mark.parametrize(("inspects", "feeds"), [("in", [0.25, 0.4]), ("back", [0.4, 0.25]), ("best", [0.25, 0.25])])
-def test_permitted_speed_applies_to_scored_passes_only(inspects, feeds):
-    config = CONFIG.model_copy(update=INSTRUMENT | {"passes": "both", "inspects": inspects})
+@pytest.mark.parametrize(
+    ("scored_pass", "feeds"), [("insertion", [0.25, 0.4]), ("withdrawal", [0.4, 0.25]), ("best", [0.25, 0.25])]
+)
+def test_permitted_speed_applies_to_scored_passes_only(scored_pass, feeds):
+    config = CONFIG.model_copy(update=INSTRUMENT | {"passes": "both", "scored_pass": scored_pass})
     rows = np.zeros((2, len(config.observations)), dtype=np.float32)
-    rows[:, list(config.observations).index("way")] = 1.0, -1.0
+    rows[:, list(config.observations).index("direction")] = 1.0, -1.0
     limited = SpeedLimited(config, Given([[1.0, 0.0], [1.0, 0.0]])).predict(rows)[0]
     assert config.targets(limited)[:, 0] == pytest.approx(feeds)
     assert fastest_withdrawal(config).feed_speed == pytest.approx((feeds[1],))

@@ -317,11 +317,11 @@ def test_agent_of_both_passes_acts_in_both(tmp_path, validations, monkeypatch):
     }  # in an insertion ``fast`` cannot go back
     path = str(tmp_path / "seed-0" / BEST)
     config = TaskConfig(
-        passes="both", inspects="back", scene={"tube": {"helix_length": 8.0}}, time_limit=100.0
+        passes="both", scored_pass="withdrawal", scene={"tube": {"helix_length": 8.0}}, time_limit=100.0
     ).full_observation
     agent = make_policy(path, config)
     assert isinstance(agent, Agent)
-    asked, predict, way = [], agent.predict, list(config.observations).index("way")
+    asked, predict, way = [], agent.predict, list(config.observations).index("direction")
 
     def recorded(observation, state=None, episode_start=None, deterministic=False):
         rows = np.atleast_2d(observation)
@@ -334,7 +334,7 @@ def test_agent_of_both_passes_acts_in_both(tmp_path, validations, monkeypatch):
     table = run_plan(Plan({"agent": agent}, load_contexts("test")[:1], (0,), config, BACK), None)
     assert {1.0, -1.0} <= set(asked)
     assert bool(table["complete"].all())
-    with pytest.raises(FileError, match=r'observations = way are not .*; "way" needs passes ='):
+    with pytest.raises(FileError, match=r'observations = direction are not .*; "direction" needs passes ='):
         make_policy(path, TaskConfig().full_observation)
     with pytest.raises(
         ValueError, match=r"policy = 'shielded:.*agent.safetensors': the shield acts on the insertion only"

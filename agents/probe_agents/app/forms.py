@@ -25,7 +25,7 @@ from probe_env.settings import Model, Range, explain, range_of
 
 Kind = Literal["number", "integer", "figure", "pair", "list", "choice"]
 NOT_IN_FORM: Final = frozenset(
-    [*OF_FEED, *OF_AIR, *VISIBLE_FIELDS, "scene", "sensor", "instrument", "passes", "inspects", "growing",
+    [*OF_FEED, *OF_AIR, *VISIBLE_FIELDS, "scene", "sensor", "instrument", "passes", "scored_pass", "growing",
      "vibration_measure"]
 )  # fmt: skip
 """Task fields of other tables, and those that change the task as a whole."""

@@ -55,7 +55,11 @@ class Evaluate:
     """in: insertion; both: insertion and withdrawal. Default: as in the tube file, else in.
     Schedule files can have columns return_feed_speed_m_per_s and return_air_supply_m3_per_h for the withdrawal.
     Policies for insertion withdraw at the highest feed speed."""
-    inspects: Annotated[Literal["in", "back", "best"] | None, hide_default()] = None
+    scored_pass: Annotated[
+        Literal["insertion", "withdrawal", "best", "in", "back"] | None,
+        hide_default(),
+        tyro.conf.arg(metavar="{insertion,withdrawal,best}", aliases=("--inspects",)),
+    ] = None
     """Pass that is scored with --passes both: the insertion, the withdrawal, or the better of both (default)."""
 
     def run(self) -> None:

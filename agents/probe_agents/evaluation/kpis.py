@@ -58,8 +58,10 @@ PROFILE_COLUMNS: Final = (
 PROFILE_COLUMNS_INSTRUMENT: Final = ("highest_feed", "axial_velocity_rms", "permitted_speed")
 """Columns of profiles with an instrument [m/s]: highest feed of a control period in the metre, rms of the sensor's
 axial velocity about its mean (NaN: not simulated), and the permitted speed (NaN: no limit)."""
-SCORED_PASSES: Final[dict[str, str]] = {"in": "the insertion", "back": "the withdrawal", "best": "the better of both"}
-"""Values of ``TaskConfig.inspects`` -> label."""
+SCORED_PASSES: Final[dict[str, str]] = {
+    "insertion": "the insertion", "withdrawal": "the withdrawal", "best": "the better of both"
+}  # fmt: skip
+"""Values of ``TaskConfig.scored_pass`` -> label."""
 
 
 def label_of(failure: str) -> str:

@@ -171,7 +171,9 @@ Key = tuple[str | int, ...]
 
 def is_judged(config: TaskConfig) -> bool:
     """Whether insertions are judged: there is an instrument, the probe is fed in, and the insertion is scored."""
-    return config.instrument is not None and config.growing and not (config.returns and config.inspects == "back")
+    return (
+        config.instrument is not None and config.growing and not (config.returns and config.scored_pass == "withdrawal")
+    )
 
 
 def instrument_kpis(stretches: Stretches, config: TaskConfig) -> dict[str, float]:

@@ -190,7 +190,7 @@ def _facts(done: Evaluation) -> dict[str, str]:
             f" second pass is another whole insertion, for a tube {why}"
         )
     return {
-        **({"passes": f"in and back; scored is {SCORED_PASSES[task.inspects]}"} if task.returns else {}),
+        **({"passes": f"in and back; scored is {SCORED_PASSES[task.scored_pass]}"} if task.returns else {}),
         "limit": f"{measure} of {limit_of(task)} at the sensor, {task.period:g} s at a time",
         "insertions": f"{len(table)}, of {policies} {'policies' if policies > 1 else 'policy'} in"
         f" {f'the same {len(tubes)} tubes' if len(tubes) > 1 else '1 tube'}",

@@ -39,6 +39,7 @@ from probe_agents.terminal.tables import print_line, print_table
 from probe_env.envs.contexts import Split
 from probe_env.envs.env import check_tubes
 from probe_env.envs.episodes.starts import EpisodeSampler, Probes, settling
+from probe_env.envs.task import ScoredPass
 from probe_env.envs.trials import PlanningPolicy
 from probe_env.fidelity import Fidelity, resolve_fidelity
 from probe_env.settings import explain
@@ -55,7 +56,7 @@ def evaluate(
     fidelity: str | Fidelity = "fast",
     probes: Probes = "scene",
     passes: Literal["in", "both"] | None = None,
-    inspects: Literal["in", "back", "best"] | None = None,
+    scored_pass: ScoredPass | None = None,
     against: str | None = None,
     strict: bool = False,
     workers: Workers = HERE,
@@ -72,7 +73,7 @@ def evaluate(
         fidelity: preset or settings of the simulation.
         probes: "scene", or "random" for a random probe in every tube and seed.
         passes: "in", or "both" for insertion and withdrawal; default: as in the tube's file.
-        inspects: the pass that is scored with both passes; default: the better one in each metre.
+        scored_pass: the pass that is scored with both passes; default: the better one in each metre.
         against: reference policy of the comparison; default: the first.
         strict: raise if a policy was not made for these tubes, instead of a warning.
         workers: workers that run the episodes.
@@ -81,7 +82,7 @@ def evaluate(
         ValueError: an argument is not valid; nothing was run.
         FileNotFoundError: no such file.
     """
-    case = read_case(tube, contexts, limit, passes, inspects)
+    case = read_case(tube, contexts, limit, passes, scored_pass)
     plan = plan_of(policies, case, seeds, fidelity, probes, strict)
     if output is None:
         return run_plan(plan, None, workers=workers)
@@ -150,7 +151,7 @@ def evaluate_plan(
     table = run_plan(plan, output, workers=workers, report=report)
     write_report(output)
     if plan.config.returns:
-        print(f"Insertion and withdrawal; scored is {SCORED_PASSES[plan.config.inspects]}")
+        print(f"Insertion and withdrawal; scored is {SCORED_PASSES[plan.config.scored_pass]}")
     print_summary(grouped(table), report.against)
     if is_judged(plan.config):
         done = read_evaluation(output)

@@ -11,7 +11,7 @@ from probe_agents.terminal.names import checked_name, name_of
 from probe_env import Context, Design, Plant
 from probe_env.envs.contexts import SPLIT_SIZES, Split, spread_contexts
 from probe_env.envs.plants import map_file
-from probe_env.envs.task import TaskConfig
+from probe_env.envs.task import ScoredPass, TaskConfig
 from probe_env.envs.vibration_map import VibrationMap, load_for, stored_map
 from probe_env.scene import whole_pitches
 
@@ -78,13 +78,13 @@ def read_case(
     split: Split,
     limit: int = 0,
     passes: Literal["in", "both"] | None = None,
-    inspects: Literal["in", "back", "best"] | None = None,
+    scored_pass: ScoredPass | None = None,
 ) -> EvaluationCase:
     """``load_case`` of a plant's file, or of the name of a shipped one, with the vibration map next to it."""
     plant = plant_at(plant_file)
     if plant_file is None or plant is None:
-        return load_case(None, split, limit, passes, inspects)
-    case = load_case(plant, split, limit, passes, inspects, map_of(plant_file, plant))
+        return load_case(None, split, limit, passes, scored_pass)
+    case = load_case(plant, split, limit, passes, scored_pass, map_of(plant_file, plant))
     name = checked_name(name_of(plant_file), "a tube's file is called")
     bore, length = 1e3 * plant.tube.inner_diameter, plant.tube.helix_length
     digest = hashlib.sha256(plant.model_dump_json().encode()).hexdigest()[:12]
@@ -96,7 +96,7 @@ def load_case(
     split: Split,
     limit: int = 0,
     passes: Literal["in", "both"] | None = None,
-    inspects: Literal["in", "back", "best"] | None = None,
+    scored_pass: ScoredPass | None = None,
     vibration: VibrationMap | None = None,
 ) -> EvaluationCase:
     """The case of a shipped list of tubes, or of as many tubes sampled from a plant's ranges; each list has its own.
@@ -106,7 +106,7 @@ def load_case(
         split: "train", "validation" or "test".
         limit: number of tubes, from the start of the list; 0: all.
         passes: "in", or "both" with twice the time limit; default: as in the plant's file.
-        inspects: pass that is scored if passes = "both"; default: as in the file, or the better one.
+        scored_pass: pass that is scored if passes = "both"; default: as in the file, or the better one.
         vibration: vibration map; default: the shipped one.
     """
     most = SPLIT_SIZES[split]
@@ -116,12 +116,12 @@ def load_case(
         config, contexts = plant.config, plant.contexts(limit or most, tuple(SPLIT_SIZES).index(split))
     else:
         raise ValueError(f"limit = {limit!r} is outside the accepted range 0 (all) to {most}")
-    update: dict[str, Any] = {"inspects": inspects} if inspects else {}
+    update: dict[str, Any] = {"scored_pass": scored_pass} if scored_pass else {}
     if (passes or config.passes) == "in":
-        if inspects:
-            raise ValueError(f"inspects = {inspects!r} needs --passes both: without it there is no withdrawal")
+        if scored_pass:
+            raise ValueError(f"scored_pass = {scored_pass!r} needs --passes both: without it there is no withdrawal")
         update = {"passes": passes} if passes else {}
     elif not config.returns:
-        update = {"passes": "both", "inspects": inspects or "best", "time_limit": 2.0 * config.time_limit}
+        update = {"passes": "both", "scored_pass": scored_pass or "best", "time_limit": 2.0 * config.time_limit}
     config = config.model_copy(update=update) if update else config
     return EvaluationCase(config, contexts, vibration or stored_map(), plant)

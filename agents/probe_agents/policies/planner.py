@@ -232,9 +232,9 @@ class InspectionPlanner(ModelPredictivePolicy):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.config.inspects == "in":
+        if self.config.scored_pass == "insertion":
             raise ValueError(
-                "inspects = 'in': the withdrawal is not scored; use passes = \"in\" with a planner of the insertion"
+                "scored_pass = 'insertion': the withdrawal is not scored; use a planner with passes = 'in'"
             )
 
     def _candidates(
@@ -359,7 +359,7 @@ def remaining_reward_of_both_passes(episodes: Episodes, held: FloatArray) -> Flo
     here = np.where(inserting, length - inserted, to_pass) / held[:, 0]
     back = np.where(inserting, length - passes.start, 0.0) / config.feed_speeds[1]
     air = held[:, 1] * here + config.air_supply_rates[0] * back
-    best, left = config.inspects == "best", np.where(inserting, length - passes.start, to_pass)
+    best, left = config.scored_pass == "best", np.where(inserting, length - passes.start, to_pass)
     # the vibration of the insertion is already charged; a withdrawal without vibration refunds it
     terms = reward_terms(
         config, inspected=uninspected if best else left, squares=-shaken if best else np.zeros(len(left)),

@@ -48,7 +48,7 @@ def print_agents() -> None:
         low, high = (3600.0 * max(rate, view.least_air_supply_rate) for rate in task.air_supply_rates)
         extra = {
             "properties of the probe": set(PROBE) <= set(view.observations),
-            "direction": "way" in view.observations,
+            "direction": "direction" in view.observations,
             "friction estimated from the root tension": view.friction_estimate,
             f"averages over {', '.join(f'{seconds:g}' for seconds in view.averages)} s": bool(view.averages),
         }

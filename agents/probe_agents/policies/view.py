@@ -8,12 +8,12 @@ from typing import Annotated, Any, Self
 import gymnasium as gym
 import numpy as np
 import numpy.typing as npt
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from probe_env.envs.task import TaskConfig, action_of, share_between, share_of, value_at
 from probe_env.envs.task.observations import in_si_units
-from probe_env.envs.task.scales import OBSERVATIONS
+from probe_env.envs.task.scales import OBSERVATIONS, with_present_names
 from probe_env.physics.closed_forms import MEASURED, SHAPE, friction_from_tension
 from probe_env.settings import Model, quantity, tuples
 
@@ -37,7 +37,9 @@ class View(Model):
     ``least_air_supply_rate`` [m3/s]: less air loses the drive, which is too rare in training to be learnt.
     """
 
-    observations: Annotated[tuple[str, ...], Field(min_length=1, max_length=64)] = tuple(OBSERVATIONS)
+    observations: Annotated[
+        tuple[str, ...], Field(min_length=1, max_length=64), BeforeValidator(with_present_names)
+    ] = tuple(OBSERVATIONS)
     averages: Annotated[tuple[TimeConstant, ...], Field(max_length=16)] = (5.0, 20.0)
     friction_estimate: bool = False
     least_air_supply_rate: Annotated[float, quantity(0.0, 0.2, "m3/s")] = 0.0
@@ -73,7 +75,7 @@ class View(Model):
         if missing:
             raise ValueError(
                 f"observations = {', '.join(missing)} are not observed in this task: {', '.join(names)}"
-                + ('; "way" needs passes = "both"' if "way" in missing else "")
+                + ('; "direction" needs passes = "both"' if "direction" in missing else "")
             )
         if self.least_air_supply_rate >= config.air_supply_rates[1]:
             raise ValueError(

@@ -120,9 +120,9 @@ class SpeedLimited(ObservationPolicy):
         actions, config = np.array(requested, dtype=np.float32), self.config
         feed, air = config.targets(actions, allow_standstill=True).T
         too_fast = feed > config.permitted_feed
-        if config.returns and config.inspects != "best":
-            inserting = in_si_units(config, rows)["way"] > 0.0
-            too_fast &= inserting == (config.inspects == "in")
+        if config.returns and config.scored_pass != "best":
+            inserting = in_si_units(config, rows)["direction"] > 0.0
+            too_fast &= inserting == (config.scored_pass == "insertion")
         slower = config.actions(np.full_like(feed, config.permitted_feed), air)
         actions[too_fast] = slower.astype(np.float32)[too_fast]
         return actions, state
@@ -136,7 +136,7 @@ class SpeedLimited(ObservationPolicy):
 
 def fastest_withdrawal(config: TaskConfig) -> Schedule:
     """The fastest withdrawal, with the air of the study or the nearest possible; as permitted if it is scored."""
-    fastest = config.feed_speeds[1] if config.inspects == "in" else config.permitted_feed
+    fastest = config.feed_speeds[1] if config.scored_pass == "insertion" else config.permitted_feed
     feed, air = config.feasible(fastest, STUDY_AIR)[0]
     return Schedule("inserted_length", "linear", (0.0,), (float(feed),), (float(air),))
 
@@ -160,10 +160,10 @@ class RoundTripPolicy(ObservationPolicy):
     ) -> tuple[npt.NDArray[np.float32], Any]:
         """Actions; in the withdrawal they are the schedule's, and the inner policy gets observations without signs."""
         names, measured = list(self.config.observations), in_si_units(self.config, rows)
-        withdrawn, visible = measured["way"] < 0.0, rows.copy()
+        withdrawn, visible = measured["direction"] < 0.0, rows.copy()
         for column in (k for k, name in enumerate(names) if name in SIGNED):
             visible[withdrawn, column] = np.abs(visible[withdrawn, column])
-        visible = np.delete(visible, names.index("way"), axis=1)
+        visible = np.delete(visible, names.index("direction"), axis=1)
         actions, state = self.insertion.predict(visible, state, start, deterministic)
         withdrawal = self.config.actions(*self.withdrawal.at(measured["inserted_length"])).astype(np.float32)
         return np.where(withdrawn[:, None], withdrawal, np.atleast_2d(actions)), state

@@ -295,7 +295,12 @@ def search_round_trip(
     table = run_plan(plan_of(policies, unseen), played / "validation", workers=workers)
     validated = {one: table[table["policy"] == one][list(KPIS)].mean().to_dict() for one in compared}
     gain = paired_difference(table, ROUND_TRIP, BASELINE, "reward")
-    record: dict[str, Any] = {"schedule": best, "inspects": config.inspects, "training_tubes": limit, "trials": trials}
+    record: dict[str, Any] = {
+        "schedule": best,
+        "scored_pass": config.scored_pass,
+        "training_tubes": limit,
+        "trials": trials,
+    }
     record |= {"reward": row["reward"], "ranges": space, "validation_tubes": len(unseen.contexts)}
     record |= {"validated": validated, "gain": asdict(gain)}
     write_atomically(output / f"{ROUND_TRIP}.csv", round_trip_csv(config, best))

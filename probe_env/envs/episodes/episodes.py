@@ -271,7 +271,7 @@ class Episodes:
             "air_supply_rate": window.air_supply_rate,
             "previous_feed_action": self.actions[:, 0].astype(float),
             "previous_air_action": self.actions[:, 1].astype(float),
-            "way": self.direction,
+            "direction": self.direction,
         }
 
     def _info(self, window: Window) -> dict[str, npt.NDArray[Any]]:
@@ -279,7 +279,7 @@ class Episodes:
         info: dict[str, npt.NDArray[Any]] = {
             "time": self.scorer.totals["time"],
             "inspected_length": self.scorer.totals["inspected"],
-            **({"way": self.direction} if self.config.returns else {}),
+            **({"direction": self.direction} if self.config.returns else {}),
             "inserted_length": self.inserted_length,
             "feed_speed": window.feed_speed,
             "air_supply_rate": window.air_supply_rate,

@@ -1,7 +1,7 @@
 """Scores control periods of N probes: reward, costs, endings and episode metrics.
 
-On insertion a metre is scored by its measured vibration. In a round trip, ``config.inspects`` selects the scored pass:
-insertion, withdrawal, or the better of both in each metre.
+On insertion a metre is scored by its measured vibration. In a round trip ``config.scored_pass`` selects insertion,
+withdrawal, or the better of both in each metre.
 """
 
 from __future__ import annotations
@@ -249,7 +249,7 @@ class RoundTripScorer(Scorer):
         return metres, squares
 
     def _detection(self) -> DetectionMetrics | RoundTripMetrics:
-        return RoundTripMetrics(self.config.sensor, self.config.inspects)
+        return RoundTripMetrics(self.config.sensor, self.config.scored_pass)
 
     def sums_over_length(self, record: StepRecord, per_metre: FloatArray) -> FloatArray:
         """See ``Scorer.sums_over_length``."""
@@ -261,7 +261,7 @@ class RoundTripScorer(Scorer):
                 self._piece[k] = self.reached[k], after
                 for bin_, length in _bins(self.reached[k], after):
                     insertion[bin_] += length * measured
-                if self.config.inspects != "back":
+                if self.config.scored_pass != "withdrawal":
                     sums[k] += (after - self.reached[k]) * measured
                 self.reached[k] = after
             if self.direction[k] < 0.0:
@@ -275,9 +275,9 @@ class RoundTripScorer(Scorer):
 
     def _withdrawal_sums(self, insertion: FloatArray, length: float, measured: FloatArray) -> FloatArray:
         """(COLUMNS,) change of the sums by a piece [m] of withdrawal in a bin with sums of ``insertion``."""
-        if self.config.inspects == "back":
+        if self.config.scored_pass == "withdrawal":
             return length * measured
-        if self.config.inspects == "in" or insertion[0] == 0.0:
+        if self.config.scored_pass == "insertion" or insertion[0] == 0.0:
             return np.zeros_like(measured)
         before = insertion / insertion[0]
         better = measured[1] < before[1]

@@ -133,7 +133,10 @@ class EpisodeSampler:
             source = [source[turn % len(source)]]
         context = sample_context(source, rng, fixed)
         design = Design.random(rng).cut_to(self.scene).built.model_dump() if self.probes == "random" else {}
-        changes["probe"] = design | dict(changes.get("probe", {}))
+        probe = changes.get("probe", {})
+        if not isinstance(probe, Mapping):
+            raise ValueError(f"options['probe'] = {probe!r} is not a mapping of fields of the probe")
+        changes["probe"] = design | dict(probe)
         return context, self.build(context, changes)
 
     def build(self, context: Context, changes: Mapping[str, Any]) -> Scene:
@@ -234,8 +237,9 @@ def sample_context(contexts: Contexts, rng: np.random.Generator, fixed: dict[str
     source = checked_contexts(contexts)
     whole = fixed.pop("context", None)
     if whole is not None:
-        values = whole.model_dump() if isinstance(whole, Context) else dict(whole)
-        fixed = values | fixed
+        if not isinstance(whole, Context | Mapping):
+            raise ValueError(f"options['context'] = {whole!r} is neither a Context nor a mapping of its fields")
+        fixed = dict(whole) | fixed
     if isinstance(source, Ranges):
         return draw_context(rng, fixed, source)
     return source[int(rng.integers(len(source)))].model_copy(update=fixed)

@@ -18,7 +18,10 @@ from probe_env.inspection.sensor import Sensor
 from probe_env.scene import Scene
 from probe_env.settings import Model, Range, quantity, range_of, tuples
 
-ScoredPass = Literal["in", "back", "best"]
+OLD_NAMES: Final = {"inspects": "scored_pass"}
+"""Fields under the names that stored files may have."""
+OLD_PASSES: Final = {"in": "insertion", "back": "withdrawal"}
+ScoredPass = Literal["insertion", "withdrawal", "best"]
 """Scored pass of a round trip: insertion, withdrawal, or the better of both."""
 Measure = Literal["displacement", "velocity", "acceleration", "snr"]
 MEASURES: Final[dict[Measure, tuple[str, float]]] = {
@@ -130,7 +133,7 @@ class RoundTrip(Model):
 
     passes: Literal["in", "both"] = "in"
     """in: insertion only. both: insertion to the end of the helix and withdrawal to the initial length."""
-    inspects: ScoredPass = "best"
+    scored_pass: Annotated[ScoredPass, BeforeValidator(lambda name: OLD_PASSES.get(name, name))] = "best"
     """Scored pass with both passes: insertion, withdrawal, or the better of both in each metre."""
 
     @property
@@ -174,17 +177,25 @@ VISIBLE_FIELDS: Final = tuple(Observation.model_fields)
 """Fields of the task that select observations and change nothing else."""
 
 
+def renamed(table: Any) -> Any:
+    """A table with the present names of fields."""
+    if not isinstance(table, Mapping):
+        return table
+    return {new if (new := OLD_NAMES.get(name, name)) not in table else name: value for name, value in table.items()}
+
+
 def ungrouped(settings: Any) -> Any:
     """Settings of a task with flat field names, from settings that may use the tables of ``GROUPS``.
 
     Raises:
         PydanticCustomError: a group has an unknown field, or a field is set twice.
     """
-    if not isinstance(settings, Mapping) or not set(settings) & set(GROUPS):
+    if not isinstance(settings, Mapping):
         return settings
+    settings = renamed(settings)
     flat = {name: value for name, value in settings.items() if name not in GROUPS}
     for group in set(settings) & set(GROUPS):
-        table, accepted = settings[group], ", ".join(GROUPS[group].model_fields)
+        table, accepted = renamed(settings[group]), ", ".join(GROUPS[group].model_fields)
         if not isinstance(table, Mapping) or not set(table) <= set(GROUPS[group].model_fields):
             text = f"{group} = {table!r}: must be a table of {accepted}"
             raise PydanticCustomError("group", "{text}", {"text": text})

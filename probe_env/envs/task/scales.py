@@ -30,10 +30,12 @@ OBSERVATIONS: Final[dict[str, tuple[float, float, str]]] = {
 
 Inserted length, feed, air and helix end at what scenes and tasks accept; radial signals at a displacement of 1 m,
 where a probe counts as diverged. Ten times table 2's drag pulls with 2.4 kN in a straight tube."""
+OLD_NAMES: Final = {"way": "direction"}
+"""Observations under the names that stored files may have."""
 ROUND_TRIP: Final[dict[str, tuple[float, float, str]]] = {
     "feed_speed": (-6.0, 6.0, "applied feed speed, below 0 on withdrawal / (0.4 m/s)"),
     "air_supply_rate": (-6.0, 6.0, "applied air supply, below 0 towards the feed device / (130 m3/h)"),
-    "way": (-1.0, 1.0, "1 on insertion, -1 on withdrawal"),
+    "direction": (-1.0, 1.0, "1 on insertion, -1 on withdrawal"),
 }
 """Observations of a round trip that replace or extend ``OBSERVATIONS``."""
 PRIVILEGED: Final[dict[str, tuple[float, float, str]]] = {
@@ -53,6 +55,11 @@ UNITS: Final = {
 }  # fmt: skip
 """Scale of an observation, or of the argument of its logarithm [SI unit]."""
 LOGARITHMIC: Final = ("rf_noise", "radial_acceleration", "axial_acceleration")
+
+
+def with_present_names(observations: Any) -> Any:
+    """A tuple of names of observations with the present ones; other values unchanged, for their validation."""
+    return tuple(OLD_NAMES.get(n, n) for n in observations) if isinstance(observations, tuple) else observations
 
 
 def as_actions(actions: npt.ArrayLike, shape: tuple[int, ...]) -> npt.NDArray[Any]:

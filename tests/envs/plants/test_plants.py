@@ -285,5 +285,5 @@ def test_arguments_that_contradict_a_tube_are_refused():
     for make in (lambda **form: gym.make("probe_env/Insertion-v1", **form), ProbeVecEnv):
         with pytest.raises(ValueError, match="contexts = 'test' are table 2's tubes: with a tube leave contexts out"):
             make(tube={"tube": {"inner_diameter": 0.023}}, contexts="test")
-    with pytest.raises(TypeError, match=r"inspects is a field of the task: give config=\{'inspects': ...\}"):
-        gym.make("probe_env/Inspection-v0", inspects="back")
+    with pytest.raises(TypeError, match=r"scored_pass is a field of the task: give config=\{'scored_pass': ...\}"):
+        gym.make("probe_env/Inspection-v0", scored_pass="withdrawal")

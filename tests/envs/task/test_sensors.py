@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 import probe_env
+from probe_agents.policies.view import View
 from probe_env import Context, Plant, TaskConfig
 from probe_env.envs.contexts import Ranges, draw_context
 from probe_env.envs.episodes.starts import checked_contexts, sample_context
@@ -137,7 +138,11 @@ def test_settings_are_accepted_in_groups_and_by_themselves():
         update={"time_limit": 1800.0}
     )  # the environment keeps its defaults
     assert all(info.description for info in TaskConfig.model_fields.values())
+    for old in ({"inspects": "back"}, {"round_trip": {"inspects": "back"}}, {"scored_pass": "back"}):
+        assert TaskConfig(passes="both", **old) == TaskConfig(passes="both", scored_pass="withdrawal")
+    assert View(observations=("feed_speed", "way")).observations == ("feed_speed", "direction")
     for wrong, message in (
+        ({"inspects": "back", "scored_pass": "best"}, "inspects"),
         ({"reward": {"tension_limit": 5.0}}, "reward = .* must be a table of vibration_measure, "),
         ({"reward": {"time_weight": 0.3}, "time_weight": 0.3}, "reward.time_weight: given twice"),
         ({"reward": {"time_weight": -1.0}}, "time_weight"),
