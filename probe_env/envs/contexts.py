@@ -84,11 +84,7 @@ def _values(values: Values) -> tuple[float, ...]:
 def draw_context(
     rng: np.random.Generator, fixed: dict[str, Any] | None = None, ranges: Ranges | None = None
 ) -> Context:
-    """A random context; ``fixed`` sets fields by name and does not change the random numbers of the others.
-
-    Raises:
-        ValueError: an unknown field or a value out of range (pydantic's ValidationError).
-    """
+    """A random context; ``fixed`` sets fields by name and does not change the random numbers of the others."""
     ranges, sample = ranges or Ranges(), {}
     for name in Context.model_fields:
         values = _values(getattr(ranges, name))
@@ -98,11 +94,7 @@ def draw_context(
 
 @lru_cache
 def load_contexts(split: Split) -> tuple[Context, ...]:
-    """A shipped list of contexts.
-
-    Raises:
-        ValueError: no such split, or the file is not the one that this version ships.
-    """
+    """A shipped list of contexts."""
     if split not in get_args(Split):
         raise ValueError(f"split = {split!r} is not one of {', '.join(get_args(Split))}")
     text = FILE.read_text()
@@ -117,11 +109,7 @@ def load_contexts(split: Split) -> tuple[Context, ...]:
 
 
 def spread_contexts(split: Split, limit: int = 0) -> tuple[Context, ...]:
-    """The first ``limit`` contexts of a shipped list; 0: all. The index of a context does not depend on the limit.
-
-    Raises:
-        ValueError: no such split, or the limit exceeds its length.
-    """
+    """The first ``limit`` contexts of a shipped list; 0: all. The index of a context does not depend on the limit."""
     listed = load_contexts(split)
     if not 0 <= limit <= len(listed):
         raise ValueError(f"limit = {limit!r} is outside the accepted range 0 (all) to {len(listed)}")

@@ -19,7 +19,7 @@ from probe_env.envs.episodes.starts import (
     resolve_settings,
     restored_on_error,
     sample_context,
-    settling,
+    settling_inputs,
 )
 from probe_env.envs.task import TaskConfig, action_of, as_actions, share_of
 from probe_env.envs.task.scales import OBSERVATIONS, PRIVILEGED, UNITS
@@ -113,7 +113,7 @@ class DesignEnv(StepLimitSpec, gym.Env[Observation, Observation]):
         self.contexts = remaining.get("contexts", DEFAULTS["contexts"])
         segment_of(self.config)  # raises for a helix that is too short
         # an insertion starts like that of Insertion-v1; the action, not the sampler, builds the probe
-        self.sampler = EpisodeSampler(self.config, self.contexts, "random", *settling(self.config, {}))
+        self.sampler = EpisodeSampler(self.config, self.contexts, "random", *settling_inputs(self.config, {}))
         self.fidelity = resolve_fidelity(remaining.get("fidelity", DEFAULTS["fidelity"]), self.sampler.stiffest, full)
         if not self.fidelity.simulates:
             raise ValueError("fidelity = 'surrogate' is for Insertion-v1 only: designs are simulated, use fast")
@@ -141,11 +141,7 @@ class DesignEnv(StepLimitSpec, gym.Env[Observation, Observation]):
 
     @staticmethod
     def design_of(action: Observation) -> Design:
-        """Design of an action (7,) in [-1, 1], before rounding to pitches.
-
-        Raises:
-            ValueError: wrong shape, not finite or out of range.
-        """
+        """Design of an action (7,) in [-1, 1], before rounding to pitches."""
         values = as_actions(action, (len(RANGES),)).astype(float)
         if not (np.abs(values) <= 1.0 + 1e-6).all():
             raise ValueError(f"action = {action!r} must be {len(RANGES)} numbers within -1 to 1: {', '.join(RANGES)}")

@@ -354,9 +354,6 @@ class ProbeVectorEnv(StepLimitSpec, gym.vector.VectorEnv[Observation, Observatio
         max_episode_steps: number of steps after which an episode is truncated, as in ``gymnasium.make``; default: only
             the time limit of ``config``.
         render_mode: must be None: render a single environment.
-
-    Raises:
-        ValueError: an argument is not valid.
     """
 
     single: ClassVar[type[ProbeEnv]] = ProbeEnv
@@ -418,11 +415,7 @@ class ProbeVectorEnv(StepLimitSpec, gym.vector.VectorEnv[Observation, Observatio
         seed: int | np.integer[Any] | Sequence[int | np.integer[Any] | None] | None = None,
         options: dict[str, Any] | None = None,
     ) -> tuple[Observation, dict[str, Any]]:
-        """Start all episodes, or those of ``options["reset_mask"]``. Other options: see ``Episodes.reset``.
-
-        Raises:
-            ValueError: seeds, mask or options are not valid.
-        """
+        """Start all episodes, or those of ``options["reset_mask"]``. Other options: see ``Episodes.reset``."""
         options = dict(options or {})
         mask = options.pop("reset_mask", None)
         mask = np.ones(self.num_envs, dtype=bool) if mask is None else np.asarray(mask)

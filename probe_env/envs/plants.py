@@ -255,12 +255,7 @@ class Posterior(Model):
 
     @classmethod
     def read(cls, path: Path) -> Self:
-        """The draws of a calibration.
-
-        Raises:
-            FileNotFoundError: no such file.
-            FileError: not a calibration.
-        """
+        """The draws of a calibration."""
         text = read_bytes(path, MOST_FILE)
         try:
             content = json.loads(text)
@@ -308,11 +303,7 @@ def check_draws(posterior: Posterior | None, file: Path | None = None) -> None:
 
 
 def with_posterior(plant: Mapping[str, Any], folder: Path | None = None) -> dict[str, Any]:
-    """Tables of a plant with the draws of ``posterior = "calibration.json"``, relative to ``folder`` or here.
-
-    Raises:
-        FileNotFoundError, FileError: see ``Posterior.read``.
-    """
+    """Tables of a plant with the draws of ``posterior = "calibration.json"``, relative to ``folder`` or here."""
     tables, file = dict(plant), plant.get("posterior")
     if isinstance(file, str | Path):
         path = (folder or Path()) / file
@@ -452,9 +443,6 @@ class Plant(Model):
         """The task of the plant: ``changes`` override the plant, which overrides ``defaults`` of an environment.
 
         The time limit grows in proportion to a helix longer than 60 m, unless it is set.
-
-        Raises:
-            ValueError: a field is unknown or not valid.
         """
         device = {
             name: getattr(part, name) for part, names in ((self.feed, OF_FEED), (self.air, OF_AIR)) for name in names
@@ -532,9 +520,6 @@ class Plant(Model):
         Samples are from Halton's sequence, scrambled by the seed, so that every prefix is balanced; the diameters occur
         equally often, each with samples over the whole distribution. A longer list begins with the shorter one. Draws
         of a posterior stay joint; its damping is the median in all tubes.
-
-        Raises:
-            ValueError: ``count`` is out of range.
         """
         if not 1 <= count <= MOST_TUBES:
             raise ValueError(f"tubes = {count!r} is outside the accepted range 1 to {MOST_TUBES}")
@@ -631,12 +616,7 @@ PlantSource = Plant | str | Path | Mapping[str, Any] | None
 
 
 def plant_of(source: PlantSource) -> Plant | None:
-    """A plant from its file, its fields or itself; None for None.
-
-    Raises:
-        FileNotFoundError: no such file.
-        ValueError: a field is unknown or not valid; names the file and every offending field.
-    """
+    """A plant from its file, its fields or itself; None for None."""
     if source is None or isinstance(source, Plant):
         return source
     return Plant.model_validate(source) if isinstance(source, Mapping) else Plant.from_toml(source)

@@ -20,7 +20,7 @@ from probe_env.design import RANGES, Design
 from probe_env.envs.contexts import Context
 from probe_env.envs.episodes import Episodes, Step
 from probe_env.envs.episodes.limits import check_simulable
-from probe_env.envs.episodes.starts import EpisodeSampler, settling
+from probe_env.envs.episodes.starts import EpisodeSampler, settling_inputs
 from probe_env.envs.task import FAILURES, TaskConfig, capped_square, drive_counts, reward_terms, slack
 from probe_env.fidelity import Fidelity
 from probe_env.inspection.snr import SPAN, SnrEstimator
@@ -220,9 +220,6 @@ def score_designs(
     Progress is the length that the sensor inspects until the tip is at the end of the helix: a long guide inspects
     less. Vibration, time and air are over the segment that all designs share; detection is over the length that the
     guide allows a probe to inspect.
-
-    Raises:
-        ValueError: the task's vibration measure is not one of ``DESIGN_MEASURES``.
     """
     check_measure(config)
     span = segment_of(config).span
@@ -355,7 +352,7 @@ def check_candidate(
     ``feed`` is the schedule of sections of constant length; None: whole insertions.
     """
     if feed is None:
-        starts = EpisodeSampler(config, (context,), "scene", *settling(config, {}))
+        starts = EpisodeSampler(config, (context,), "scene", *settling_inputs(config, {}))
         scene = starts.build(context, {"probe": design.built.model_dump()})
         check_simulable(scene, fidelity, scene.tube.helix_length, config.air_supply_rates[1])
     else:

@@ -194,11 +194,7 @@ def expected_cost(
 
 
 def rms_limit(config: TaskConfig) -> float:
-    """Vibration limit of the task as a radial rms [m], the output of a map.
-
-    Raises:
-        ValueError: maps do not predict the vibration measure.
-    """
+    """Vibration limit of the task as a radial rms [m], the output of a map."""
     if config.vibration_measure not in PROFILED:
         raise ValueError(f"vibration_measure = {config.vibration_measure!r}: maps are of {' and '.join(PROFILED)} only")
     as_rms = config.sensor.equivalent_rms(np.array(config.limit))

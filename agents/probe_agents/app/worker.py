@@ -145,7 +145,7 @@ class _RequestRunner:
         while not runner.over:
             self._receive(runner)
             if not runner.decided:
-                runner.decide()
+                runner.next_actions()
             ended = list(runner.advance())
             for k in np.flatnonzero(runner.active).tolist():
                 self.rows.setdefault(runner.episode_id(k), []).append(row_of(runner, k))
@@ -206,7 +206,7 @@ class _RequestRunner:
     def _slow_motion(self, runner: RolloutRunner) -> None:
         """Send slow motion of the watched probe, simulated on a copy, so that the run does not change."""
         if not runner.decided:
-            runner.decide()
+            runner.next_actions()
         k, episodes = self.watched, runner.episodes
         if not episodes.running[k]:
             return

@@ -56,7 +56,7 @@ class _Episode:
         """Reset the environment."""
         self._observation, self.info = self.env.reset(seed=seed)
 
-    def decide(self) -> npt.NDArray[np.float32]:
+    def next_action(self) -> npt.NDArray[np.float32]:
         """Action (2,) of the policy for the next period."""
         observation = self._observation[None]
         action, self._state = self._policy.predict(observation, self._state, self._start, deterministic=True)
@@ -87,7 +87,7 @@ def render_episode(env_id: str, output: Path, policy: str, every: int, seed: int
     frames: list[Any] = [episode.env.render()] if animated else []
     with tqdm(desc=f"{env_id}", unit="period") as bar:
         while not episode.ended:
-            episode.step(episode.decide())
+            episode.step(episode.next_action())
             steps += 1
             if (animated and steps % every == 0) or episode.ended:
                 frames.append(episode.env.render())
@@ -159,7 +159,7 @@ def _motion(episode: _Episode, at: float, length: float, duration: float) -> Mot
     episodes = episode.episodes
     with tqdm(desc="feeding", unit="period") as bar:
         while episode.info["inserted_length"] < at and not episode.ended:
-            episode.step(episode.decide())
+            episode.step(episode.next_action())
             bar.update()
     if episode.ended:
         info = episode.info
@@ -175,7 +175,7 @@ def _motion(episode: _Episode, at: float, length: float, duration: float) -> Mot
     simulated, remaining = episodes.simulated(), duration
     watch = Watch(simulated.simulators[0], length, axial, radial)
     while remaining > 0.5 * SAMPLE_PERIOD and not episode.ended:
-        action = episode.decide()
+        action = episode.next_action()
         targets = episodes.config.targets(action[None]) * episodes.direction[:, None]
         period = episodes.config.period / simulated.time_lapse(targets, episodes.direction)[0]  # of the dynamics
         feed_speed, air_supply_rate = targets[0]

@@ -335,10 +335,10 @@ class RolloutRunner:
 
     def step(self) -> Records:
         """Run a control period; yields the records of the episodes that end."""
-        self.decide()
+        self.next_actions()
         yield from self.advance()
 
-    def decide(self) -> None:
+    def next_actions(self) -> None:
         """Start episodes in idle lanes and compute the actions of the next period."""
         idle = np.flatnonzero(~self.episodes.running).tolist()
         fresh = {k: self.missing.popleft() for k in idle[: len(self.missing)]}

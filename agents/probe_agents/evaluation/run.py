@@ -38,7 +38,7 @@ from probe_agents.records.manifest import write_json
 from probe_agents.terminal.tables import print_line, print_table
 from probe_env.envs.contexts import Split
 from probe_env.envs.env import check_tubes
-from probe_env.envs.episodes.starts import EpisodeSampler, Probes, settling
+from probe_env.envs.episodes.starts import EpisodeSampler, Probes, settling_inputs
 from probe_env.envs.task import ScoredPass
 from probe_env.envs.trials import PlanningPolicy
 from probe_env.fidelity import Fidelity, resolve_fidelity
@@ -117,7 +117,7 @@ def plan_of(
             name: policy if name in as_written or isinstance(policy, PlanningPolicy) else SpeedLimited(config, policy)
             for name, policy in policies.items()
         }
-    sampler = EpisodeSampler(config, case.contexts, probes, *settling(config, {}))
+    sampler = EpisodeSampler(config, case.contexts, probes, *settling_inputs(config, {}))
     chosen = resolve_fidelity(fidelity, sampler.stiffest, config.growing, config.returns)
     bundle = case.plant.bundle_for(config) if case.plant else None
     plan = Plan(policies, case.contexts, range(seeds), config, chosen, probes, case.vibration, bundle)

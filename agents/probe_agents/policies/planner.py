@@ -87,11 +87,7 @@ class ModelPredictivePolicy(ABC):
         episode_start: npt.NDArray[np.bool_] | None = None,
         deterministic: bool = False,
     ) -> tuple[npt.NDArray[np.float32], Any]:
-        """Not available.
-
-        Raises:
-            ValueError: always: planning needs the simulator, not only observations.
-        """
+        """Not available."""
         raise ValueError("a planner needs the simulator, not only observations: run it with `probe-env evaluate`")
 
     def describe(self) -> dict[str, Any]:

@@ -25,7 +25,7 @@ from probe_env.envs.episodes.starts import (
     EpisodeSettings,
     resolve_settings,
     restored_on_error,
-    settling,
+    settling_inputs,
 )
 from probe_env.envs.task import FAILURES, TaskConfig
 from probe_env.envs.task.observations import SensorModel, normal_draws
@@ -67,10 +67,6 @@ class Episodes:
         backend: what advances the probes.
         window: motion in the last period; None before the first.
         running: (N,) whether the episode has begun and not ended.
-
-    Raises:
-        ValueError: an argument is not valid.
-        TypeError: unknown setting.
     """
 
     def __init__(
@@ -89,7 +85,7 @@ class Episodes:
         arguments, self.allow_standstill = DEFAULTS | settings, allow_standstill
         if num_envs < 1:
             raise ValueError(f"num_envs = {num_envs!r} is outside the accepted range 1 and more")
-        feed_speed, air_supply_rate = settling(self.config, settings)
+        feed_speed, air_supply_rate = settling_inputs(self.config, settings)
         self.sampler = EpisodeSampler(
             self.config, arguments["contexts"], arguments["probes"], feed_speed, air_supply_rate, arguments["in_turn"]
         )
@@ -156,9 +152,6 @@ class Episodes:
         """Copies of the episodes ``which`` in their current state, for planning; an index may occur more than once.
 
         Rewards and endings are those of the originals; metrics start from zero.
-
-        Raises:
-            ValueError: ``which`` is empty or has an index out of range.
         """
         new, index = copy.copy(self), list(which)
         new.backend = self.backend.branch(which)

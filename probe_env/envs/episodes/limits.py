@@ -81,8 +81,8 @@ def check_simulable(scene: Scene, fidelity: Fidelity, longest: float, most_air: 
     softest = softest_wall(probe)
     if stiffness < softest:
         raise ValueError(
-            f"contact_stiffness = {stiffness:g} N/m is below {softest:.4g} N/m (pi^4 EI / (4 p^3)): the cable would"
-            " buckle through so soft a wall before it buckles between its floats; give a stiffer contact"
+            f"contact_stiffness = {stiffness:g} N/m is below {softest:.4g} N/m (pi^4 EI / (4 p^3)): the wall is softer"
+            " than the buckling limit; give a stiffer contact"
         )
     clearance = scene.tube.clear_diameter - max(probe.guide_float_diameter, probe.carrier_float_diameter)
     start = steady_sliding(scene, scene.inserted_length, scene.air_supply_rate, friction=0.0)

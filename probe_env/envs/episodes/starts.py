@@ -61,7 +61,7 @@ DEFAULTS: Final[EpisodeSettings] = {
 }  # fmt: skip
 
 
-def settling(config: TaskConfig, settings: EpisodeSettings) -> tuple[float, float]:
+def settling_inputs(config: TaskConfig, settings: EpisodeSettings) -> tuple[float, float]:
     """Feed speed [m/s] and air supply [m3/s] while settling: the arguments, or the default clipped to the range."""
     ranges = config.feed_speeds, config.air_supply_rates
     feed, air = (float(np.clip(default, *range_)) for default, range_ in zip(SETTLING, ranges, strict=True))
@@ -122,9 +122,6 @@ class EpisodeSampler:
         """Context and scene of an episode; ``options`` of ``Episodes.reset`` do not change the random numbers.
 
         ``turn`` is the index of the tube with ``in_turn``; after the last tube the first follows.
-
-        Raises:
-            ValueError: an option is unknown or not valid.
         """
         fixed = dict(options)
         changes: dict[str, Any] = {name: fixed.pop(name) for name in ("probe", "carrier_length") if name in fixed}
@@ -175,8 +172,8 @@ def resolve_settings(
     contexts = settings.get("contexts")
     if settings.get("tube") is not None and isinstance(contexts, str) and contexts in SPLIT_SIZES:
         raise ValueError(
-            f"contexts = {contexts!r} are table 2's tubes: with a tube leave contexts out, to sample them from"
-            " its ranges, or give your own Contexts"
+            f"contexts = {contexts!r} cannot be combined with tube: leave contexts out, to sample them from its"
+            " ranges, or give your own Contexts"
         )
     remaining = settings.copy()
     file = remaining.get("tube")
@@ -198,11 +195,7 @@ def resolve_settings(
 
 
 def checked_contexts(contexts: Contexts) -> tuple[Context, ...] | Ranges:
-    """A list of contexts, or ranges to sample from.
-
-    Raises:
-        ValueError: unknown name, or a field of a custom list is unknown or not valid; names it.
-    """
+    """A list of contexts, or ranges to sample from."""
     if isinstance(contexts, Ranges) or (isinstance(contexts, tuple) and all(isinstance(c, Context) for c in contexts)):
         return contexts
     if isinstance(contexts, str):
@@ -229,11 +222,7 @@ def checked_contexts(contexts: Contexts) -> tuple[Context, ...] | Ranges:
 
 
 def sample_context(contexts: Contexts, rng: np.random.Generator, fixed: dict[str, Any]) -> Context:
-    """A context from ranges or from a list; ``fixed`` sets fields, or a whole "context", which is removed from it.
-
-    Raises:
-        ValueError: unknown list, or a field is unknown or not valid.
-    """
+    """A context from ranges or from a list; ``fixed`` sets fields, or a whole "context", which is removed from it."""
     source = checked_contexts(contexts)
     whole = fixed.pop("context", None)
     if whole is not None:

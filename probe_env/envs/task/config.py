@@ -34,11 +34,7 @@ MEASURES: Final[dict[Measure, tuple[str, float]]] = {
 
 
 def scene_of(settings: Any) -> Any:
-    """A scene from a ``Scene``, or from a mapping of changed fields of table 2's scene, which JSON can store.
-
-    Raises:
-        ValueError: a field is unknown or not valid.
-    """
+    """A scene from a ``Scene``, or from a mapping of changed fields of table 2's scene, which JSON can store."""
     return Scene.fitted(settings) if isinstance(settings, Mapping) else settings
 
 
@@ -185,11 +181,7 @@ def renamed(table: Any) -> Any:
 
 
 def ungrouped(settings: Any) -> Any:
-    """Settings of a task with flat field names, from settings that may use the tables of ``GROUPS``.
-
-    Raises:
-        PydanticCustomError: a group has an unknown field, or a field is set twice.
-    """
+    """Settings of a task with flat field names, from settings that may use the tables of ``GROUPS``."""
     if not isinstance(settings, Mapping):
         return settings
     settings = renamed(settings)
@@ -325,9 +317,6 @@ class TaskConfig(Observation, Disturbances, Limits, Reward, Actuators, Timing, R
         """Actions of a shape (..., 2) in [-1, 1]; those of probes that are not ``active`` (N,) are 0.
 
         ``allow_standstill``: the feed action may also be ``standstill``.
-
-        Raises:
-            ValueError: not numbers, of another shape, not finite or out of range.
         """
         values = as_actions(actions, shape).astype(np.float32)
         if active is not None and not active.all():
@@ -375,11 +364,7 @@ class TaskConfig(Observation, Disturbances, Limits, Reward, Actuators, Timing, R
         )
 
     def action(self, feed_speed: float, air_supply_rate: float) -> npt.NDArray[np.float32]:
-        """(2,) action of a feed speed [m/s] and an air supply [m3/s].
-
-        Raises:
-            ValueError: out of the task's range.
-        """
+        """(2,) action of a feed speed [m/s] and an air supply [m3/s]."""
         for name, value, (low, high) in (
             ("feed_speed", feed_speed, self.feed_speeds),
             ("air_supply_rate", air_supply_rate, self.air_supply_rates),

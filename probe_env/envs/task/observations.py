@@ -54,9 +54,6 @@ def in_si_units(config: TaskConfig, observation: npt.NDArray[np.floating[Any]]) 
     """Observations (N, d) by name and in SI units (N,): the inverse of ``observe``.
 
     ``rf_noise`` is the equivalent radial rms [m], accelerations are rms [m/s2], actions are not converted.
-
-    Raises:
-        ValueError: the shape is not that of this task.
     """
     if observation.ndim != 2 or observation.shape[1] != len(config.observations):
         raise ValueError(

@@ -63,11 +63,7 @@ def with_present_names(observations: Any) -> Any:
 
 
 def as_actions(actions: npt.ArrayLike, shape: tuple[int, ...]) -> npt.NDArray[Any]:
-    """Actions as an array of a shape.
-
-    Raises:
-        ValueError: not numbers, or of another shape.
-    """
+    """Actions as an array of a shape."""
     values: npt.NDArray[Any]
     try:
         values = np.asarray(actions)

@@ -283,7 +283,7 @@ def test_air_supply_in_m3_per_h():
 
 def test_arguments_that_contradict_a_tube_are_refused():
     for make in (lambda **form: gym.make("probe_env/Insertion-v1", **form), ProbeVecEnv):
-        with pytest.raises(ValueError, match="contexts = 'test' are table 2's tubes: with a tube leave contexts out"):
+        with pytest.raises(ValueError, match="contexts = 'test' cannot be combined with tube"):
             make(tube={"tube": {"inner_diameter": 0.023}}, contexts="test")
     with pytest.raises(TypeError, match=r"scored_pass is a field of the task: give config=\{'scored_pass': ...\}"):
         gym.make("probe_env/Inspection-v0", scored_pass="withdrawal")
