@@ -18,13 +18,11 @@ from probe_agents.evaluation import profiles, report
 from probe_agents.evaluation.folder import UNFINISHED, comparable, read_evaluation
 from probe_agents.evaluation.kpis import CORE, KPIS
 from probe_agents.evaluation.plan import COLUMNS, run_plan
-from probe_agents.evaluation.profiles import downloads
 from probe_agents.evaluation.report import compare_with_best, limit_of, oracle_policies, write_report
 from probe_agents.evaluation.run import evaluate_plan, print_summary
 from probe_agents.evaluation.statistics import grouped, ranking
 from probe_agents.policies.catalogue import named_policies
 from probe_agents.policies.fixed import PI, Constant, Scheduled
-from probe_agents.policies.wrappers import RoundTripPolicy, fastest_withdrawal, insertion_task
 from probe_env.envs.plants import Bundle
 from probe_env.envs.task import TaskConfig
 from probe_env.fidelity import ROUND_TRIP_PRESETS
@@ -48,48 +46,51 @@ def table_of(times, shares, rewards, tubes=20, scatter=0.0):
 TIMES, SHARES, REWARDS = {"mine": 361.0, "best": 300.0}, {"mine": 0.9, "best": 0.9}, {"mine": 1.0, "best": 9.0}
 
 
-def compare(table, policy, oracles=(), limit="0.1 mm"):
-    return compare_with_best(table, policy, oracles, limit)
+def cells_of(comparison):
+    """Head -> texts of the cells."""
+    return {row.head: [cell.text for cell in row.cells] for row in comparison.table[1]}
 
 
-def headline(*arguments):
-    return compare(*arguments).headline
-
-
-def test_the_verdict_gives_the_differences_to_the_best():
-    one = compare_with_best(table_of(TIMES, SHARES | {"mine": 0.85}, REWARDS), "mine", (), "0.1 mm")
-    assert one.headline == "worse than the best here, best."
-    assert one.figures == "Reward -8, time +61 s, length within 0.1 mm -5 %."
-    assert "361 s against 300 s; 85 % of the length within 0.1 mm against 90 %" in one.detail
-    assert headline(table_of(TIMES, SHARES, REWARDS), "best") == "better than the next best here, mine."
-    scattered = compare(table_of(TIMES, SHARES, REWARDS, scatter=0.01), "mine").figures
-    low, high = map(float, re.search(r"time \+\d+ s \[\+(\d+), \+(\d+)\]", scattered).groups())
+def test_comparison_with_the_best_other_policy():
+    one = compare_with_best(table_of(TIMES, SHARES | {"mine": 0.85}, REWARDS), "mine", ())
+    assert (one.result, one.best, one.first) == ("worse than", "best", False)
+    assert cells_of(one) == {
+        "reward": ["1", "9", "-8"], "inspection time [s]": ["361", "300", "+61"],
+        "length within the limit [%]": ["85", "90", "-5"], "complete": ["20 of 20", "20 of 20", ""],
+    }  # fmt: skip
+    other = compare_with_best(table_of(TIMES, SHARES, REWARDS), "best", ())
+    assert (other.result, other.best, other.first) == ("better than", "mine", True)
+    scattered = compare_with_best(table_of(TIMES, SHARES, REWARDS, scatter=0.01), "mine", ())
+    low, high = map(float, scattered.table[1][1].cells[2].below.split(" to "))
     assert low < 61.0 < high  # 20 differences of 4.7 s scatter: the mean is within 1.05 s (standard error)
     same = table_of(TIMES | {"mine": 300.0}, SHARES, REWARDS | {"mine": 9.0}, scatter=0.05)
-    for policy, rival in ((ranking(same)[1], "best"), (ranking(same)[0], "next best")):
-        assert headline(same, policy).startswith(f"no clear difference from the {rival} here, ")
+    for policy, first in ((ranking(same)[1], False), (ranking(same)[0], True)):
+        assert compare_with_best(same, policy, ())[2:4] == ("no clear difference from", first)
     oracle = table_of(TIMES | {"oracle": 200.0}, SHARES | {"oracle": 1.0}, REWARDS | {"oracle": 20.0})
-    assert "the next best here, mine." in headline(oracle, "best", {"oracle"})
-    assert "the best here, best." in headline(oracle, "mine", {"oracle"})
+    assert [compare_with_best(oracle, name, {"oracle"}).best for name in ("best", "mine")] == ["mine", "best"]
 
 
-def test_verdict_names_failures_and_missing_comparisons():
+def test_comparison_with_failures_one_tube_or_no_other_policy():
     table = table_of(TIMES, SHARES, REWARDS)
     table.loc[[0, 1], ["complete", "lost_drive"]] = 0.0, 1.0
-    assert compare(table, "mine").figures.endswith("; it did not complete 2 of 20 insertions.")
-    assert "; mine did not complete 2 of 20" in compare(table, "best").figures
-    for tubes, words in ((1, "1 tube, without an interval"), (4, "4 tubes, too few for exact intervals")):
-        one = compare_with_best(table_of(TIMES, SHARES, REWARDS, tubes=tubes, scatter=0.05), "mine", (), "0.1 mm")
-        assert f"over {words}" in one.detail
-        assert ("[" in one.figures) == ("95 %" in one.detail) == (tubes > 1)
-    for task, words in (
+    assert cells_of(compare_with_best(table, "mine", ()))["complete"] == ["18 of 20", "20 of 20", ""]
+    for tubes in (1, 4):
+        one = compare_with_best(table_of(TIMES, SHARES, REWARDS, tubes=tubes, scatter=0.05), "mine", ())
+        assert bool(one.table[1][0].cells[2].below) == (tubes > 1)
+    alone = compare_with_best(table[table["policy"] == "best"], "best", ())
+    assert (alone.best, cells_of(alone)["reward"]) == ("", ["9"])
+
+
+@pytest.mark.parametrize(
+    ("task", "words"),
+    [
         ({"vibration_limit": 5e-5}, "0.05 mm"),
         ({"vibration_measure": "velocity"}, "5 mm/s"),
         ({"vibration_measure": "acceleration"}, "20 m/s²"),
-    ):
-        alone = compare(table[table["policy"] == "best"], "best", (), limit_of(TaskConfig(**task)))
-        assert alone.headline == "no other policy to compare with."
-        assert alone.figures == f"300 s, 90 % of the length within {words}."
+    ],
+)
+def test_limit_with_its_unit(task, words):
+    assert limit_of(TaskConfig(**task)) == words
 
 
 def test_all_common_episodes_are_compared():
@@ -224,10 +225,7 @@ def test_schedules_of_the_page_are_schedules(page, tmp_path):
     for name, content in links.items():
         (tmp_path / name).write_text(unquote(content))
         read[name] = Schedule.read(tmp_path / name)
-    mine = read["my-schedule.csv"]
-    assert (mine.over, mine.position, mine.feed_speed) == (MINE.over, MINE.position, MINE.feed_speed)
-    np.testing.assert_allclose(mine.air_supply_rate, MINE.air_supply_rate, rtol=1e-6)
-    assert read["pi.csv"].over == "inserted_length"
+    assert {schedule.over for schedule in read.values()} == {"inserted_length"}
 
 
 def test_traces_are_what_was_fed(evaluated, monkeypatch):
@@ -248,44 +246,24 @@ def test_traces_are_what_was_fed(evaluated, monkeypatch):
     assert coarse["policies"][0]["tubes"][0][2] == [100, 255, 400]  # root mean square of 200 and 300
 
 
-def test_schedules_of_both_passes_include_the_withdrawal(tmp_path):
-    """As given, with more points on the way back than on the way in; of a law what it fed, of an agent nothing."""
-    config = TaskConfig(passes="both")
-    forth = Schedule("inserted_length", "steps", (10.0, 40.0), (0.4, 0.2), (0.02, 0.03))
-    back = Schedule("inserted_length", "steps", (10.0, 20.0, 40.0), (0.1, 0.3, 0.2), (0.01, 0.02, 0.03))
-    played = {
-        "mine": RoundTripPolicy(config, Scheduled(insertion_task(config), forth), back),
-        "pi": RoundTripPolicy(config, PI(insertion_task(config)), fastest_withdrawal(config)),
-    }
-    described = {name: policy.describe() for name, policy in played.items()}
-    described |= {"agent": {"policy": "Agent"}, "shielded-mine": {"policy": "Shielded", "of": {"policy": "Privileged"}}}
-    episode = {"context": 0, "seed": 0, "training_seed": 0}
-    rows = [dict.fromkeys(CORE, 1.0) | episode | {"policy": name, "reward": -k} for k, name in enumerate(described)]
-    fed = episode | {"feed_speed": 0.2, "air_supply_rate": 0.02}
-    profile = [fed | {"policy": name, "inserted_length": metre} for name in described for metre in (10.0, 11.0)]
-    offered, without = downloads(described, pd.DataFrame(rows), pd.DataFrame(profile), returns=True)
-    assert [one.policy for one in offered] == ["mine", "pi"]
-    assert without == ["agent", "shielded-mine"]
-    for one in offered:
-        (tmp_path / one.file).write_text(unquote(one.address.split(",", 1)[1]))
-    lengths = np.linspace(5.0, 50.0, 46)
-    for name, drawn in (("mine", back), ("pi", fastest_withdrawal(config))):
-        read = Schedule.read_withdrawal(tmp_path / f"{name}.csv")
-        np.testing.assert_allclose(read.at(lengths), drawn.at(lengths), rtol=1e-5)
-    np.testing.assert_allclose(Schedule.read(tmp_path / "mine.csv").at(lengths), forth.at(lengths), rtol=1e-5)
-
-
-def test_a_long_schedule_is_shown_by_the_rows_that_describe_it():
-    """A step between 30 and 35 m and a corner of the air at 50 m, among 12 rows."""
+def test_short_schedule_has_the_rows_that_describe_it():
+    """A step between 30 and 35 m and a corner of the air at 50 m, among 12 rows; of a law the mean that was driven."""
     length = np.arange(5.0, 61.0, 5.0)
     feed, air = np.where(length > 32.0, 0.2, 0.4), np.interp(length, [5.0, 50.0, 60.0], [0.02, 0.02, 0.03])
     mine = Schedule("inserted_length", "linear", tuple(length), tuple(feed), tuple(air))
-    note, rows = profiles.short_schedule(Scheduled(CONFIG, mine).describe(), pd.DataFrame())
-    assert note == f"{len(rows)} of 12 rows; linear between rows"
-    assert len(rows) <= 8
-    assert {5.0, 30.0, 35.0, 50.0, 60.0} <= set(rows["inserted_length"])
-    for name, values in (("feed_speed", feed), ("air_supply_rate", air)):
-        np.testing.assert_allclose(np.interp(length, rows["inserted_length"], rows[name]), values)
+    metres = [
+        pd.DataFrame({"inserted_length": length, "feed_speed": feed + shift, "air_supply_rate": air - 0.1 * shift})
+        for shift in (-0.01, 0.01)
+    ]
+    for described, note in (
+        (Scheduled(CONFIG, mine).describe(), "linear between rows"), ({}, "as driven, mean over the insertions")
+    ):  # fmt: skip
+        words, rows = profiles.short_schedule(described, pd.concat(metres))
+        assert words == f"5 of 12 rows; {note}"
+        assert rows["inserted_length"].tolist() == [5.0, 30.0, 35.0, 50.0, 60.0]
+        for name, values in (("feed_speed", feed), ("air_supply_rate", air)):
+            np.testing.assert_allclose(np.interp(length, rows["inserted_length"], rows[name]), values)
+    assert profiles.short_schedule({}, metres[0][:0])[1].empty
 
 
 def test_oracles_are_no_rivals():

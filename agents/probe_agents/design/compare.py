@@ -54,9 +54,6 @@ def compare(designs: Mapping[str, Design], trials: DesignTrials, output: Path) -
         designs: name -> design.
         trials: settings of the trials.
         output: folder.
-
-    Raises:
-        ValueError: no designs, or feed, measure or a design is not valid; nothing is run.
     """
     if not designs:
         raise ValueError("designs = none: give at least one design file (TOML) or the name of a shipped design")
@@ -147,12 +144,7 @@ def header(summary: pd.DataFrame) -> list[str]:
 
 
 def read_comparison(folder: Path) -> pd.DataFrame:
-    """Read the rows of a comparison, one per design and context.
-
-    Raises:
-        FileNotFoundError: no comparison in the folder.
-        FileError: the file is damaged or changed.
-    """
+    """Read the rows of a comparison, one per design and context."""
     check_hashes(folder, STORED)
     return read_csv(folder / STORED, COLUMNS)
 

@@ -83,11 +83,7 @@ class DesignProblem(DesignTrials):
         return [{"feed_speed": u, "air_supply_rate": q} for u, q in clipped]
 
     def search_folder(self, path: Path, seed: int) -> ResultFolder:
-        """The folder of a search for this problem.
-
-        Raises:
-            ValueError: the feed is not a policy.
-        """
+        """The folder of a search for this problem."""
         feed = self.feed if self.feed == "best-constant" else self.policy().describe()
         tubes = [context.model_dump() for context in self.contexts]
         return self.folder(path, feed=feed, seed=seed, variables=self.axes, tubes=tubes)
@@ -150,9 +146,6 @@ def design_problem(feed: str, full: bool, case: EvaluationCase, fidelity: str) -
         full: simulate whole insertions.
         case: task and tubes.
         fidelity: preset, or "auto".
-
-    Raises:
-        ValueError: an argument is not valid, or no reference probe can be simulated in the tubes.
     """
     if full and feed == "best-constant":
         raise ValueError("feed = 'best-constant' needs sections; with --full give a schedule or an agent")

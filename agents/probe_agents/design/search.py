@@ -145,9 +145,6 @@ def run_design_search(
         output: folder of journal, tables and figures; a search in it is continued.
         seed: seed of the search.
         workers: workers that share the tubes of a trial.
-
-    Raises:
-        ValueError: an argument is not valid, or another process works in the folder; nothing is run.
     """
     within("seed", seed, 0, 2**63, "")
     within("trials", trials, 2, 1_000_000, "")

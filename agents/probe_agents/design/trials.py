@@ -46,19 +46,11 @@ class DesignTrials:
     plant_label: PlantLabel = TABLE_2
 
     def policy(self) -> Policy:
-        """Make the policy of ``feed``.
-
-        Raises:
-            ValueError: no such policy.
-        """
+        """Make the policy of ``feed``."""
         return make_policy(self.feed, self.config, self.vibration)
 
     def schedule(self) -> Schedule:
-        """Make the schedule of ``feed``.
-
-        Raises:
-            ValueError: it is not a schedule over inserted length.
-        """
+        """Make the schedule of ``feed``."""
         policy = self.policy()
         if self.feed == "constant":
             return Schedule("inserted_length", "linear", (5.0,), (0.2,), (63.0 / 3600.0,))

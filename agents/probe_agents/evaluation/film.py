@@ -74,9 +74,6 @@ def render_episode(env_id: str, output: Path, policy: str, every: int, seed: int
 
     Returns:
         the episode's KPIs without the detection curve.
-
-    Raises:
-        ValueError: an argument is not valid; nothing was written.
     """
     check_format(output)
     if every < 1:
@@ -123,7 +120,6 @@ def render_strip(
         figures of the motion, SI units.
 
     Raises:
-        ValueError: an argument is not valid, or the episode ended before the length was reached; nothing was written.
         SimulationError: the state diverged in the film.
     """
     check_format(output)

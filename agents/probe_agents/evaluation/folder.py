@@ -195,12 +195,7 @@ def is_evaluation(folder: Path) -> bool:
 
 
 def read_evaluation(folder: Path) -> Evaluation:
-    """The tables of a folder; for an interrupted evaluation, the stored episodes that can be compared.
-
-    Raises:
-        FileNotFoundError: no evaluation is stored there.
-        FileError: a file is damaged, or no episode is stored yet.
-    """
+    """The tables of a folder; for an interrupted evaluation, the stored episodes that can be compared."""
     if (folder / UNFINISHED).exists():
         return _interrupted(folder)
     paths = [folder / name for name in ("episodes.parquet", "profile.parquet", "manifest.json", SETTING)]

@@ -16,7 +16,7 @@ from markupsafe import Markup
 
 from probe_agents.evaluation import figures
 from probe_agents.evaluation.folder import Evaluation, read_evaluation
-from probe_agents.evaluation.kpis import SCORED_PASSES, displayed_kpis, label_of
+from probe_agents.evaluation.kpis import KPIS, SCORED_PASSES, displayed_kpis, label_of
 from probe_agents.evaluation.profiles import Description, downloads, inner_policy, short_schedule, traces
 from probe_agents.evaluation.repeat import (
     Case,
@@ -30,7 +30,6 @@ from probe_agents.evaluation.repeat import (
 )
 from probe_agents.evaluation.statistics import (
     BUNDLE_HEADER,
-    Interval,
     bands,
     bundle_rows,
     bundle_table,
@@ -84,12 +83,7 @@ RANKED: Final = (
 
 
 def write_report(folder: Path) -> Path:
-    """Write report.html from the files of a folder; if the evaluation is finished, summary.csv and bundle.csv.
-
-    Raises:
-        FileNotFoundError: no evaluation is stored there.
-        FileError: a file is damaged.
-    """
+    """Write report.html from the files of a folder; if the evaluation is finished, summary.csv and bundle.csv."""
     done = read_evaluation(folder)
     summary = summarise(done.table)
     if done.missing is None:
@@ -115,16 +109,17 @@ def _content(done: Evaluation, summary: pd.DataFrame) -> dict[str, Any]:
     kinds = {name: inner_policy(policy).get("policy") in SCHEDULES for name, policy in described.items()}
     subjects, hours = done.user_policies or (done.against,), bundle_table(table, done.bundle)
     first = first_page(done)
-    driven, first_described = done.profile[done.profile["policy"] == first.policy], described.get(first.policy, {})
-    note, schedule = short_schedule(first_described, driven)
+    driven = done.profile[done.profile["policy"] == first.policy]
+    note, schedule = short_schedule(described.get(first.policy, {}), driven)
     first_picture, *pictures = _pictures(done, summary, driven)
     others = [name for name in order if name != first.policy]
-    comparisons = [compare_with_best(table, policy, oracles, limit_of(task)) for policy in subjects]
+    comparisons = [compare_with_best(table, policy, oracles) for policy in subjects]
     best = [name for name in order if name not in oracles]
     ranked_table, more_figures = ranked(table, summary, done.user_policies, oracles)
     visible = list(dict.fromkeys([*(v.policy for v in comparisons), *best[:2], done.against, *best]))[:DRAWN_AT_FIRST]
     return {
         "title": "Feed policies compared",
+        "few_tubes": 1 < table["context"].nunique() < FEW_TUBES,
         "done": done,
         "first": first,
         "note": note,
@@ -151,7 +146,7 @@ def _content(done: Evaluation, summary: pd.DataFrame) -> dict[str, Any]:
             BUNDLE_HEADER,
             [Row(name, "", tuple(map(Cell, texts))) for name, *texts in bundle_rows(hours) if name in others],
         ),
-        "downloads": downloads(described, table, done.profile, task.returns),
+        "downloads": downloads(table, done.profile),
         "traces": traces(table, done.profile, visible, _limit_mm(task)),
         "pictures": pictures,
     }
@@ -335,46 +330,41 @@ def first_page(done: Evaluation) -> FirstPage:
 
 
 class Comparison(NamedTuple):
-    """A policy compared with the best other one: better, worse or neither; differences; means."""
+    """A policy compared with the best other one; ``best`` and ``result`` are empty without another one.
+
+    Attributes:
+        policy: its name.
+        best: the best other policy.
+        result: "better than", "worse than" or "no clear difference from".
+        first: whether the policy itself is the best of all.
+        table: a row for each KPI: means of both, and paired difference with its interval.
+    """
 
     policy: str
-    headline: str
-    figures: str
-    detail: str
+    best: str
+    result: str
+    first: bool
+    table: Table
 
 
-def compare_with_best(table: pd.DataFrame, policy: str, oracles: Collection[str], limit: str) -> Comparison:
-    """A policy compared with the best of the others, oracles excluded.
-
-    Args:
-        table: episodes, all policies on the same tubes.
-        policy: the policy to compare.
-        oracles: the oracles.
-        limit: the vibration limit with its unit.
-    """
+def compare_with_best(table: pd.DataFrame, policy: str, oracles: Collection[str]) -> Comparison:
+    """A policy compared with the best of the others, oracles excluded, all on the same tubes."""
     order = [name for name in ranking(table) if name == policy or name not in oracles]
-    other = next((name for name in order if name != policy), None)
-    tubes = table["context"].nunique()
-    over = f"over {tubes} tube{'s' if tubes != 1 else ''}"
-    time, share = _time_and_share(table, policy)
-    if other is None:
-        figures = f"{time}, {share} of the length within {limit}{_not_complete(table, policy)}."
-        return Comparison(policy, "no other policy to compare with.", figures, f"Means {over}.")
-    reward, *others = (paired_difference(table, policy, other, kpi) for kpi in
-                       ("reward", "inspection_time_s", "share_within_limit"))  # fmt: skip
-    unclear = reward.low <= 0.0 <= reward.high
-    result = "no clear difference from" if unclear else "better than" if reward.mean > 0.0 else "worse than"
-    longer, more = (_signed(*each) for each in zip(others, (1.0, 100.0), (" s", " %"), strict=True))
-    failed = _not_complete(table, policy) + _not_complete(table, other, other)
-    headline = f"{result} the {'next ' if order[0] == policy else ''}best here, {other}."
-    figures = f"Reward {_signed(reward)}, time {longer}, length within {limit} {more}{failed}."
-    other_time, other_share = _time_and_share(table, other)
-    basis = f"Differences {over}, without an interval"
-    if tubes > 1:
-        few = ", too few for exact intervals" if tubes < FEW_TUBES else ""
-        basis = f"Paired differences with 95 % bootstrap intervals {over}{few}"
-    detail = f"{time} against {other_time}; {share} of the length within {limit} against {other_share}. {basis}."
-    return Comparison(policy, headline, figures, detail)
+    best = next((name for name in order if name != policy), "")
+    names, rows, result, ends = [policy, *filter(None, [best])], [], "", dict(endings(table).iterrows())
+    for kpi in ("reward", "inspection_time_s", "share_within_limit"):
+        label, factor, unit = KPIS[kpi]
+        cells = [Cell(short(by_context(table, name, kpi).mean() * factor)) for name in names]
+        if best:
+            difference = paired_difference(table, policy, best, kpi)
+            mean, low, high = (factor * v for v in (difference.mean, difference.low, difference.high))
+            cells.append(_with_ends(mean, low, high, "+"))
+            clear = "better than" if difference.mean > 0.0 else "worse than"
+            result = result or ("no clear difference from" if difference.low <= 0.0 <= difference.high else clear)
+        rows.append(Row(f"{label} [{unit}]" if unit else label, "", tuple(cells)))
+    complete = (Cell(f"{ends[name]['complete']} of {ends[name]['episodes']}") for name in names)
+    rows.append(Row("complete", "", (*complete, *[Cell("")] * bool(best))))
+    return Comparison(policy, best, result, order[0] == policy, (["mean", *names, *["difference"] * bool(best)], rows))
 
 
 def _time_and_share(part: pd.DataFrame, policy: str) -> tuple[str, str]:
@@ -382,17 +372,10 @@ def _time_and_share(part: pd.DataFrame, policy: str) -> tuple[str, str]:
     return f"{short(time)} s", f"{short(100.0 * share)} %"
 
 
-def _signed(difference: Interval, factor: float = 1.0, unit: str = "") -> str:
-    """Mean and interval with signs and two digits; the mean alone if the interval has no width."""
-    values = [value * factor for value in (difference.mean, difference.low, difference.high)]
-    mean, low, high = (f"{v:{'+' if v else ''}{'.0f' if abs(v) >= 10.0 else '.2g'}}" for v in values)
-    return f"{mean}{unit}" + (f" [{low}, {high}]" if difference.low < difference.high else "")
-
-
-def _not_complete(table: pd.DataFrame, policy: str, name: str = "it") -> str:
+def _not_complete(table: pd.DataFrame, policy: str) -> str:
     row = dict(endings(table).iterrows())[policy]
     missing = row["episodes"] - row["complete"]
-    return f"; {name} did not complete {missing} of {row['episodes']} insertions" if missing else ""
+    return f"; it did not complete {missing} of {row['episodes']} insertions" if missing else ""
 
 
 class Cell(NamedTuple):

@@ -77,10 +77,6 @@ def evaluate(
         against: reference policy of the comparison; default: the first.
         strict: raise if a policy was not made for these tubes, instead of a warning.
         workers: workers that run the episodes.
-
-    Raises:
-        ValueError: an argument is not valid; nothing was run.
-        FileNotFoundError: no such file.
     """
     case = read_case(tube, contexts, limit, passes, scored_pass)
     plan = plan_of(policies, case, seeds, fidelity, probes, strict)
@@ -100,11 +96,7 @@ def plan_of(
     probes: Probes = "scene",
     strict: bool = False,
 ) -> Plan:
-    """The plan of named policies on the tubes of a case; warns about policies that were not made for them.
-
-    Raises:
-        ValueError: an argument is not valid, no episode can begin, or ``strict`` and a policy is out of its range.
-    """
+    """The plan of named policies on the tubes of a case; warns about policies that were not made for them."""
     if not 1 <= seeds <= 1000:
         raise ValueError(f"seeds = {seeds!r} is outside the accepted range 1 to 1000")
     config = case.config.full_observation
@@ -143,9 +135,6 @@ def evaluate_plan(
         against: reference policy of the comparison; default: the first.
         workers: workers that run the episodes.
         users: policies of the user, for the headline of the report; default: ``against``.
-
-    Raises:
-        ValueError: an argument is not valid; nothing was run.
     """
     report = report_settings(plan, against, users)
     table = run_plan(plan, output, workers=workers, report=report)
@@ -165,11 +154,7 @@ def evaluate_plan(
 
 
 def report_settings(plan: Plan, against: str | None, users: Sequence[str]) -> ReportSettings:
-    """Reference policy and the user's policies for the report, by the names of methods.
-
-    Raises:
-        ValueError: no such policy.
-    """
+    """Reference policy and the user's policies for the report, by the names of methods."""
     methods = [method_and_seed(name)[0] for name in plan.policies]
     reference = method_and_seed(against)[0] if against and against in plan.policies else against or methods[0]
     if reference not in methods:
@@ -179,12 +164,7 @@ def report_settings(plan: Plan, against: str | None, users: Sequence[str]) -> Re
 
 
 def report_again(folder: Path, against: str | None = None) -> Path:
-    """Write the report of a stored or interrupted evaluation again; returns its path.
-
-    Raises:
-        FileNotFoundError: no evaluation is stored there.
-        ValueError: a file is damaged, or no such policy.
-    """
+    """Write the report of a stored or interrupted evaluation again; returns its path."""
     if not is_evaluation(folder):
         raise FileNotFoundError(errno.ENOENT, "no evaluation is stored there", str(folder / "setting.json"))
     if against is not None:

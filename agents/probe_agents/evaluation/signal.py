@@ -124,7 +124,6 @@ def run_signal(
         one row per flaw that the sensor passed.
 
     Raises:
-        ValueError: an argument is not valid; nothing was written.
         RuntimeError: the simulation diverged; nothing was written.
     """
     config, spacing = case.config.full_observation, SPACING if support_spacing is None else support_spacing
@@ -151,11 +150,7 @@ def run_signal(
 
 
 def flaws_of(texts: Sequence[str], length: float) -> tuple[Flaw, ...]:
-    """Flaws from texts POSITION:DEPTH, in metres and % of the wall; default: 20 % every 5 m.
-
-    Raises:
-        ValueError: a text of another form, or out of range.
-    """
+    """Flaws from texts POSITION:DEPTH, in metres and % of the wall; default: 20 % every 5 m."""
     if not texts:
         return tuple(Flaw(float(position), GROOVE) for position in np.arange(5.0, length, 5.0))
     flaws = []
@@ -187,7 +182,6 @@ def insert(
         until: inserted length at the end [m]; None: the end of the helix.
 
     Raises:
-        ValueError: a length outside the helix.
         RuntimeError: the simulation diverged.
     """
     length = config.scene.tube.helix_length
@@ -368,12 +362,7 @@ def _draw_flaws(recording: Recording, chart: Chart, path: Path) -> None:
 
 
 def draw_curves(evaluation: Path, output: Path) -> None:
-    """Write the detection curves of a stored evaluation as pod.csv and pod.png, and print the detected depths.
-
-    Raises:
-        FileNotFoundError: no such evaluation.
-        ValueError: its episodes have no detection curves.
-    """
+    """Write the detection curves of a stored evaluation as pod.csv and pod.png, and print the detected depths."""
     table = statistics.grouped(read_episodes(evaluation / "episodes.parquet"))
     if not statistics.has_curves(table):
         raise ValueError(f"{evaluation}: its episodes have no detection curves; run the evaluation again")

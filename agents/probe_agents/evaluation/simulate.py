@@ -52,7 +52,6 @@ def simulate_scene(
         statistics of the sensor and the mean root tension, SI units.
 
     Raises:
-        ValueError: an argument is not valid; nothing was written.
         SimulationError: the state diverged; nothing was written.
     """
     if not 0.0 <= statistics_from < duration:

@@ -124,11 +124,7 @@ def _ratio_of_means(a: np.ndarray, b: np.ndarray, axis: int = -1) -> np.ndarray:
 
 
 def mean_interval(values: np.ndarray) -> Interval:
-    """Mean of independent values with a bootstrap interval (BCa): NaN for one value, no width if all are equal.
-
-    Raises:
-        ValueError: no values, or some that are not finite.
-    """
+    """Mean of independent values with a bootstrap interval (BCa): NaN for one value, no width if all are equal."""
     values = np.asarray(values, dtype=float)
     if len(values) == 0 or not np.isfinite(values).all():
         raise ValueError(f"values = {values!r} must be one or more finite numbers")
@@ -311,8 +307,8 @@ def comparison_lines(table: pd.DataFrame, reference: str) -> list[str]:
     for policy in dict.fromkeys(table["policy"]):
         if policy == reference:
             continue
-        time = _signed(paired_difference(table, policy, reference, "inspection_time_s"), 1.0, "s")
-        share = _signed(paired_difference(table, policy, reference, "share_within_limit"), 100.0, "%")
+        time = _signed(paired_difference(table, policy, reference, "inspection_time_s"), 1.0, " s")
+        share = _signed(paired_difference(table, policy, reference, "share_within_limit"), 100.0, " %")
         lead = ""
         if has_lead and policy not in (BEST, BAR):
             lead = f", share of the lead of {BEST} over {BAR} {share_of_lead(table, policy).text(100.0)} %"
@@ -320,10 +316,10 @@ def comparison_lines(table: pd.DataFrame, reference: str) -> list[str]:
     return lines
 
 
-def _signed(difference: Interval, factor: float, unit: str) -> str:
+def _signed(difference: Interval, factor: float = 1.0, unit: str = "") -> str:
     """A difference such as "-41 s [-44, -38]"; without an interval where there is none."""
     mean, low, high = (f"{value * factor:+.3g}" for value in (difference.mean, difference.low, difference.high))
-    return f"{mean} {unit}" + (f" [{low}, {high}]" if difference.low < difference.high else "")
+    return f"{mean}{unit}" + (f" [{low}, {high}]" if difference.low < difference.high else "")
 
 
 def strain_lines(table: pd.DataFrame) -> list[str]:

@@ -141,11 +141,7 @@ class Likelihood:
 def sample_posterior(
     response: Response, cases: Sequence[Case], prior: Prior, seed: int = 0, progress: bool = False
 ) -> Posterior:
-    """Sample the posterior of the frictions of all tubes and of the shared unknowns; ``seed`` is that of the walkers.
-
-    Raises:
-        ValueError: a log has too few metres, or no channel.
-    """
+    """Sample the posterior of the frictions of all tubes and of the shared unknowns; ``seed``: of the walkers."""
     import emcee
 
     for case in cases:

@@ -134,10 +134,7 @@ def read_log(
         time_format: form of the column of time for ``strptime``, like "%d.%m.%y %H:%M:%S"; empty: detected.
 
     Raises:
-        FileNotFoundError: no such file.
         FileError: the log cannot be read or repaired; names line, column, value and remedy.
-        ValueError: an argument is not valid.
-        ModuleNotFoundError: pint or openpyxl is not installed (``probe-env[agents]``).
     """
     path, options = Path(path), parse_columns(columns)
     if decimal not in DECIMALS:
@@ -177,11 +174,7 @@ def read_log(
 
 
 def log_stretches(log: Log, config: TaskConfig) -> Stretches:
-    """The metres of a log from its start on, and what is missing to the end of the helix of a task.
-
-    Raises:
-        ValueError: the probe never moves.
-    """
+    """The metres of a log from its start on, and what is missing to the end of the helix of a task."""
     moving = np.flatnonzero(np.diff(log.inserted_length) > 0.0)
     if not len(moving):
         raise ValueError(f"the log has no metre to judge: the probe stays at {log.inserted_length[0]:g} m")

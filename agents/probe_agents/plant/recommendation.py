@@ -116,9 +116,6 @@ def recommend(
         response: expected measurements.
         law: file of a feedback law (.json); None: no law.
         workers: workers of the simulation.
-
-    Raises:
-        ValueError: the plant, or a schedule to compare with, is not valid; nothing is written.
     """
     case = load_case(plant, "train")
     if confirmation:
@@ -202,9 +199,6 @@ def optimal_schedule(
         response: expected measurements.
         config: the task.
         start_air: least air [m3/s] at the lengths at which lost drive is not scored yet, see ``route_air``.
-
-    Raises:
-        ValueError: the response lacks the task's vibration measure, or no air in the range gives enough tension.
     """
     if config.vibration_measure not in MEASURES:
         problem = f"task.vibration_measure = {config.vibration_measure!r}"
@@ -251,11 +245,7 @@ class Settings(NamedTuple):
 
 
 def settings_of(tubes: Sequence[Context], config: TaskConfig, start_air: float = 0.0) -> Settings:
-    """The settings of a task, those excluded that have too little tension in the tubes.
-
-    Raises:
-        ValueError: no air in the range gives enough tension.
-    """
+    """The settings of a task, those excluded that have too little tension in the tubes."""
     end = config.scene.tube.helix_length
     lengths = np.unique(np.append(np.arange(FIRST, end, SPACING), end))
     feed, air = _grid(config)
@@ -377,9 +367,6 @@ def safe_air(config: TaskConfig, tubes: Sequence[Context], feeds: tuple[float, f
         config: task: range of the air, required tension, probe and bore.
         tubes: tubes in all of which the air must be safe.
         feeds: slowest and fastest feed [m/s]; the fastest has the least tension, the slowest the most compression.
-
-    Raises:
-        ValueError: no air in the range is safe.
     """
     slowest, fastest = feeds
     least, most = (3600.0 * air for air in config.air_supply_rates)

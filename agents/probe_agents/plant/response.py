@@ -174,12 +174,7 @@ class Response:
 
     @classmethod
     def load(cls, path: Path = STORED) -> Response:
-        """Read a stored response (plain arrays).
-
-        Raises:
-            FileNotFoundError: no such file.
-            FileError: arrays are missing or have a wrong shape.
-        """
+        """Read a stored response (plain arrays)."""
         arrays = read_arrays(path, lambda name: "f" if name in SHAPES or name[:-1] in ("weights", "biases") else "")
         sizes = [INPUTS]
         for k in range(LAYERS):

@@ -88,11 +88,7 @@ class Found(NamedTuple):
 
 
 def a90_target(text: str) -> float:
-    """The target of ``--find a90=PERCENT`` [% of the wall].
-
-    Raises:
-        ValueError: another form, or out of range.
-    """
+    """The target of ``--find a90=PERCENT`` [% of the wall]."""
     match = re.fullmatch(r"a90=(\d+(?:\.\d*)?)", text.strip())
     if not match or not LEAST <= float(match[1]) <= MOST:
         raise ValueError(
@@ -169,11 +165,7 @@ class MapSearch:
         return best
 
     def least(self) -> Candidate:
-        """The schedule with nearly the least limit of a90 that the time limit allows.
-
-        Raises:
-            ValueError: none is within the time limit.
-        """
+        """The schedule with nearly the least limit of a90 that the time limit allows."""
         low, high = math.log(LEAST), math.log(100.0)
         best = self.fastest(100.0)
         if best is None:
