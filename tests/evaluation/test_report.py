@@ -16,8 +16,8 @@ from plans import CONFIG, make_plan
 from probe_agents.cli import main
 from probe_agents.evaluation import profiles, report
 from probe_agents.evaluation.folder import UNFINISHED, comparable, read_evaluation
-from probe_agents.evaluation.kpis import CORE, KPIS
-from probe_agents.evaluation.plan import COLUMNS, run_plan
+from probe_agents.evaluation.kpis import CORE, KPIS, PROFILE_COLUMNS
+from probe_agents.evaluation.plan import run_plan
 from probe_agents.evaluation.report import compare_with_best, limit_of, oracle_policies, write_report
 from probe_agents.evaluation.run import evaluate_plan, print_summary
 from probe_agents.evaluation.statistics import grouped, ranking
@@ -110,7 +110,7 @@ def test_report_of_an_interrupted_evaluation(tmp_path):
     def per_metre(profile):
         if next(calls) == 8:
             raise KeyboardInterrupt
-        return {name: np.array([k + 0.5]) for k, name in enumerate(COLUMNS)}
+        return {name: np.array([k + 0.5]) for k, name in enumerate(PROFILE_COLUMNS)}
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("probe_agents.evaluation.plan.per_metre", per_metre)
