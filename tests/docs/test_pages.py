@@ -1,6 +1,8 @@
 """README and docs/: examples run, commands, methods and public names exist, links work, the results table is stored."""
 
 import ast
+import hashlib
+import json
 import re
 import subprocess
 import sys
@@ -41,6 +43,16 @@ def test_the_python_examples_run(page, example, monkeypatch, tmp_path):
 def test_figures_of_the_readme_are_stored():
     for text in (readme.results_table(), readme.learning_table(), readme.speed_row()):
         assert text in PAGES["README.md"]
+
+
+def test_stored_results_have_the_hashes_of_their_manifests():
+    wrong = [
+        f"{path.parent.relative_to(ROOT)}/{name}"
+        for path in (ROOT / "results").rglob("manifest.json")
+        for name, value in json.loads(path.read_text()).get("files", {}).items()
+        if hashlib.sha256((path.parent / name).read_bytes()).hexdigest() != value
+    ]
+    assert wrong == []
 
 
 def test_commands_and_methods_are_on_their_pages():

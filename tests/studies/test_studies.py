@@ -19,6 +19,7 @@ from probe_agents.policies.cases import with_probe
 from probe_agents.policies.catalogue import named_policies
 from probe_agents.policies.fixed import PI, Constant
 from probe_agents.records.shipped import shipped_folder, shipped_names
+from probe_agents.studies import readme
 from probe_agents.studies import run as runs
 from probe_agents.studies.builtin import BUILT_IN
 from probe_agents.studies.compare import _cell, baselines, compare, key_columns
@@ -321,20 +322,24 @@ def test_policies_of_a_plant_are_recommended_for_it(tmp_path: Path) -> None:
         assert list(named_policies(["pi"], setting.plan.config)) == ["pi"]
 
 
-def test_cells_without_an_interval_have_none() -> None:
-    """Of one tube, and of the baseline itself."""
-    cases = (
+@pytest.mark.parametrize(
+    ("difference", "low", "high", "text"),
+    [
         (2.0, 1.0, 3.0, "5 (+2 [1, 3])"),
         (2.0, np.nan, np.nan, "5 (+2)"),
         (0.0, 0.0, 0.0, "5"),
         (0.0, np.nan, np.nan, "5"),
-    )
-    for difference, low, high, text in cases:
-        row = {
-            "metric": "reward",
-            "mean": 5.0,
-            "difference": difference,
-            "difference_low": low,
-            "difference_high": high,
-        }
-        assert _cell(row) == text
+    ],
+)
+def test_cells_of_one_tube_and_of_the_baseline(difference: float, low: float, high: float, text: str) -> None:
+    row = {"metric": "reward", "mean": 5.0, "difference": difference, "difference_low": low, "difference_high": high}
+    assert _cell(row) == text
+
+
+@pytest.mark.slow
+def test_recipe_is_trained_and_tested(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(readme.STEPS, "surrogate", (2048, 4096))  # type: ignore[misc]
+    table = readme.learn(tmp_path, limit=1, trials=1)
+    assert table["policy"].tolist() == [*readme.RIVALS, "0 2048", "0 4096"]
+    assert table["reward"].notna().all()
+    assert {path.name for path in tmp_path.iterdir()} == {"curve.csv", "manifest.json", "models"}

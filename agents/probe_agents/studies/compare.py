@@ -131,11 +131,7 @@ def _method(column: str, value: Any) -> Any:
 
 
 def _replaced(columns: Sequence[str], key: tuple[Any, ...], values: Changes, keys: Any) -> tuple[Any, ...]:
-    """The key with other values in some columns; another policy has no parameters of this one.
-
-    Raises:
-        ValueError: no such row.
-    """
+    """The key with other values in some columns; another policy has no parameters of this one."""
     row = dict(zip(columns, key, strict=True))
     if "policy" in values:
         row |= {name: None for name in columns if name.startswith("policy.")}

@@ -92,9 +92,6 @@ def learn(
 
     Returns:
         means over the test tubes of every seed and number of steps, and of ``RIVALS``.
-
-    Raises:
-        ValueError: not one fidelity of ``STEPS``.
     """
     from stable_baselines3 import PPO
 

@@ -21,7 +21,7 @@ from probe_agents.plant.prior import FRICTION, STIFFNESS
 from probe_agents.plant.response import CHANNELS, INPUTS, Metres, Response, inputs_of, metres_of, observed
 from probe_agents.records.atomic import write_atomically
 from probe_agents.records.manifest import origin, write_json
-from probe_agents.studies.network import fit_network
+from probe_agents.studies.vibration_map import fit_network
 from probe_agents.terminal.tables import print_line, print_terms
 from probe_agents.terminal.work import Work, announce
 from probe_env import Context, Fidelity, Plant, Scene

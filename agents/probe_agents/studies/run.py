@@ -68,11 +68,7 @@ def expand(study: Study) -> list[Setting]:
 
 
 def run_study(settings: list[Setting], output: Path, workers: Workers = HERE) -> pd.DataFrame:
-    """Run what is missing in ``output``; returns all episodes with the columns of their settings.
-
-    Raises:
-        ValueError: a folder has episodes of another task.
-    """
+    """Run what is missing in ``output``; returns all episodes with the columns of their settings."""
     tables = []
     for number, setting in enumerate(settings, start=1):
         print(f"{number} of {len(settings)}: {', '.join(f'{k} = {v}' for k, v in setting.values.items())}", flush=True)
@@ -164,11 +160,7 @@ def _policies(
 
 
 def _with_parameters(policy: Any, name: str, parameters: Mapping[str, Any]) -> Any:
-    """A policy with other parameters.
-
-    Raises:
-        ValueError: no such parameter, or a value of another type.
-    """
+    """A policy with other parameters."""
     if isinstance(policy, RoundTripPolicy):
         return replace(policy, insertion=_with_parameters(policy.insertion, name, parameters))
     all_fields = fields(policy) if is_dataclass(policy) else ()

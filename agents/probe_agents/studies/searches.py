@@ -269,9 +269,6 @@ def search_round_trip(
     """Search by Bayesian optimisation, and evaluate the best in the validation tubes; writes ``ROUND_TRIP`` files.
 
     ``trials`` is the number of schedules, including ``starts``; ``limit`` the number of training tubes per schedule.
-
-    Raises:
-        FileError: a stored episode is damaged, or of another task.
     """
     whole, played = read_case(tube, "train", 0, "both"), output / "simulated"
     train, unseen = whole._replace(contexts=whole.contexts[:limit]), load_case(whole.plant, "validation", 0, "both")

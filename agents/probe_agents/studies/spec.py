@@ -124,11 +124,7 @@ class Study(Model):
     def changed(
         self, limit: int | None, policies: tuple[str, ...], fidelity: tuple[str, ...], tube: Path | None
     ) -> Study:
-        """The study with other values; reference policies of the comparison remain.
-
-        Raises:
-            ValueError: a value is not valid.
-        """
+        """The study with other values; reference policies of the comparison remain."""
         update: Changes = {} if limit is None else {"limit": limit}
         if policies:
             needed = [entry.get("policy") for entry in (*self.compare.baseline, self.compare.upper or {})]

@@ -20,7 +20,6 @@ from probe_agents.records.atomic import write_atomically
 from probe_agents.records.manifest import origin, write_json
 from probe_agents.records.shipped import file_or_shipped, ships
 from probe_agents.records.tables import read_parquet
-from probe_agents.studies.network import fit_network
 from probe_agents.terminal.tables import print_line
 from probe_env import Scene, load_contexts
 from probe_env.arrays import FloatArray
@@ -35,7 +34,7 @@ SEGMENT: Final = {"displacement": 3.0, "snr": 6.0}
 """Vibration measure -> length of constant feed and air [m]; "snr" is a running mean over 1.2 s, up to 1.9 m."""
 SMEARED: Final = {"displacement": 0.0, "snr": 3.0}
 """Vibration measure -> first part of a segment that is not fitted, as it depends on the segment before [m]."""
-EPOCHS, BATCH = 300, 512
+EPOCHS, BATCH, HIDDEN = 300, 512, 64
 HELD_OUT: Final = 12
 """Number of test tubes, the first of the training list: two of each helix diameter."""
 LEAST_SPREAD: Final = 0.05
@@ -94,6 +93,39 @@ def fit_map(
     error = fitted.distribution(inputs[held_out])[0] - logarithm[held_out]
     explained = 1.0 - float((error**2).mean() / logarithm[held_out].var())
     return fitted, {"explained_variance": explained, "mean_absolute_error_decades": float(np.abs(error).mean())}
+
+
+def fit_network(
+    x: FloatArray, y: FloatArray, seed: int, epochs: int, batch: int, clamp: tuple[float, float]
+) -> list[tuple[FloatArray, FloatArray]]:
+    """Fit a small network for mean and standard deviation of normal targets by maximum likelihood.
+
+    Weights (in, out) and biases (out,) of three layers, tanh between them, for scaled inputs (n, d), targets (n, t).
+
+    The outputs are t means and t logarithms of standard deviations, clamped to ``clamp`` in the loss.
+    """
+    import torch
+
+    torch.manual_seed(seed)
+    inputs, targets = (torch.tensor(values, dtype=torch.float32) for values in (x, y))
+    network = torch.nn.Sequential(
+        torch.nn.Linear(inputs.shape[1], HIDDEN), torch.nn.Tanh(),
+        torch.nn.Linear(HIDDEN, HIDDEN), torch.nn.Tanh(),
+        torch.nn.Linear(HIDDEN, 2 * targets.shape[1]),
+    )  # fmt: skip
+    steps = epochs * max(len(inputs) // batch, 1)
+    optimiser = torch.optim.AdamW(network.parameters(), lr=3e-3, weight_decay=1e-3)
+    pace = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, steps)
+    for _ in range(steps):
+        chosen = torch.randint(len(inputs), (batch,))
+        mean, spread = network(inputs[chosen]).chunk(2, dim=1)
+        loss = torch.nn.functional.gaussian_nll_loss(mean, targets[chosen], torch.exp(2.0 * spread.clamp(*clamp)))
+        optimiser.zero_grad()
+        loss.backward()  # type: ignore[no-untyped-call]
+        optimiser.step()
+        pace.step()
+    parts = [layer for layer in network if isinstance(layer, torch.nn.Linear)]
+    return [(p.weight.detach().numpy().T.astype(np.float32).copy(), p.bias.detach().numpy().copy()) for p in parts]
 
 
 def run(output: Path, trials: int = 2, tube: Path | None = None, workers: Workers = HERE) -> Path:
