@@ -41,6 +41,7 @@ from probe_env.files import FileError
 from probe_env.inspection.metrics import POD_NAMES
 
 UNFINISHED: Final = "unfinished.json"
+EPISODE_RECORDS: Final = "episodes.jsonl"
 FILES: Final = ("episodes.csv", "episodes.parquet", "profile.parquet")
 CASE: Final[dict[str, Kind]] = {"policy": "name", "context": "count", "seed": "count"}
 EPISODES: Final[Columns] = {
@@ -123,7 +124,7 @@ class ReportSettings(Stored):
 
 def episodes_of(output: Path) -> Journal[Episode]:
     """The journal of an evaluation's episodes."""
-    return Journal(output / "episodes.jsonl", Episode)
+    return Journal(output / EPISODE_RECORDS, Episode)
 
 
 def read_episodes(path: Path) -> pd.DataFrame:

@@ -10,7 +10,7 @@ from typing import Literal
 import pandas as pd
 from pydantic import ValidationError
 
-from probe_agents.evaluation.folder import ReportSettings, is_evaluation, read_evaluation
+from probe_agents.evaluation.folder import EPISODE_RECORDS, ReportSettings, is_evaluation, read_evaluation
 from probe_agents.evaluation.kpis import SCORED_PASSES, displayed_kpis
 from probe_agents.evaluation.plan import Plan, run_plan
 from probe_agents.evaluation.repeat import by_policy, cases_of, is_judged
@@ -82,6 +82,7 @@ def evaluate(
     plan = plan_of(policies, case, seeds, fidelity, probes, strict)
     if output is None:
         return run_plan(plan, None, workers=workers)
+    plan.folder(output).check(EPISODE_RECORDS)
     output.mkdir(parents=True, exist_ok=True)
     tubes = len(plan.contexts)
     print_line(f"evaluation of {', '.join(plan.policies)} in {tubes} {'tubes' if tubes > 1 else 'tube'}")

@@ -7,7 +7,6 @@ import json
 import os
 import re
 import zlib
-from collections import deque
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from importlib.metadata import version
@@ -24,7 +23,6 @@ from probe_env.files import MEBI, FileError, as_text, open_regular
 
 SETTING: Final = "setting.json"
 MAX_JOURNAL: Final = 4096 * MEBI
-MAX_LINE: Final = 4 * MEBI
 MAX_HASHED: Final = 16384 * MEBI
 MAX_VALUE: Final = 40
 """Maximum number of characters of a setting in an error."""
@@ -214,28 +212,26 @@ class Journal(Generic[S]):
         self.path, self.model = path, model
 
     def read(self) -> dict[str, dict[str, Any]]:
-        """Records by key, the last one of each key; an incomplete last line is ignored.
+        """Records by key, the last one of each key; a last line without its end is incomplete and ignored.
 
         Raises:
             FileError: another line is not a record or not what was written; names file and line.
         """
         records: dict[str, dict[str, Any]] = {}
-        if not os.path.lexists(self.path):
-            return records
-        for number, line, _ in _lines(self.path):
-            if line.endswith(b"\n") or not _cut_off(line):
-                if not is_intact(line):
-                    problem = "its checksum does not fit: it was changed after it was written"
-                    raise FileError(self.path, f"line {number}: {problem} - remove the line (its work is repeated)")
-                text = as_text(self.path, line, number)
-                record = validate(self.path, f"line {number}: ", text, self.model).model_dump(exclude_none=True)
-                records[record["key"]] = record
+        for number, line in enumerate(self._lines(), start=1):
+            if not is_intact(line):
+                problem = "its checksum does not fit: it was changed after it was written"
+                raise FileError(self.path, f"line {number}: {problem} - remove the line (its work is repeated)")
+            text = as_text(self.path, line, number)
+            record = validate(self.path, f"line {number}: ", text, self.model).model_dump(exclude_none=True)
+            records[record["key"]] = record
         return records
 
     @contextmanager
     def appending(self) -> Iterator[Callable[..., None]]:
         """Context of a function that appends records; they are on the disk when it returns. The folder is locked."""
-        complete(self.path)
+        if os.path.lexists(self.path):
+            os.truncate(self.path, sum(map(len, self._lines())))
         with self.path.open("ab") as file:
 
             def append(*records: Mapping[str, Any]) -> None:
@@ -246,39 +242,8 @@ class Journal(Generic[S]):
 
             yield append
 
-
-def complete(path: Path) -> None:
-    """Prepare a journal for appending: remove an incomplete last line, end a complete one."""
-    last = deque(_lines(path) if path.exists() else (), maxlen=1)
-    _, line, begin = last[0] if last else (0, b"\n", 0)
-    if line.endswith(b"\n"):
-        return
-    if _cut_off(line):
-        os.truncate(path, begin)
-    else:
-        with path.open("ab") as file:
-            file.write(b"\n")
-
-
-def _lines(path: Path) -> Iterator[tuple[int, bytes, int]]:
-    """Number, content and offset of each line."""
-    with open_regular(path, MAX_JOURNAL) as file:
-        begin, number = 0, 0
-        while line := file.readline(MAX_LINE + 1):
-            number += 1
-            if len(line) > MAX_LINE:
-                raise FileError(path, f"line {number}: longer than the limit of {MAX_LINE} bytes - {RESTORE}")
-            yield number, line, begin
-            begin += len(line)
-
-
-def _cut_off(line: bytes) -> bool:
-    """Whether a line without an end is an incomplete record."""
-    begin = b'{"key": "'
-    if not (line.startswith(begin) or begin.startswith(line)) or b"\0" in line:
-        return False
-    try:
-        json.loads(line)
-    except (ValueError, RecursionError):
-        return True
-    return False
+    def _lines(self) -> Iterator[bytes]:
+        """The complete lines."""
+        if os.path.lexists(self.path):
+            with open_regular(self.path, MAX_JOURNAL) as file:
+                yield from (line for line in file if line.endswith(b"\n"))
