@@ -220,7 +220,8 @@ def test_commands_name_the_damaged_file(stored, refused, tmp_path, capsys):
     assert main(run) == 0
     capsys.readouterr()
     (output / "episodes.jsonl").write_text("seven\n")
-    refused(run, f"{output / 'episodes.jsonl'}: line 1: ")
+    assert main(run) == 2
+    assert f"{output / 'episodes.jsonl'}: line 1: " in capsys.readouterr().err
     (output / "setting.json").write_text("{}")
     refused(run, f"{output / 'setting.json'}: ")
 

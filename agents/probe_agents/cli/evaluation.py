@@ -73,15 +73,17 @@ class Evaluate:
         folder = Path(self.policies[0] if len(self.policies) == 1 else "policies")
         named = folder.is_dir() and len(folder.parts) != 1 and not folder.suffix
         if len(self.policies) == 1 and (named or is_evaluation(folder)):
+            report = report_again(folder, self.against)
             print_line(f"report of the stored evaluation {folder}: nothing is simulated")
-            print_line(f"written: {report_again(folder, self.against)}")
+            print_line(f"written: {report}")
             return
         arguments: dict[str, Any] = vars(self) | {"fidelity": parse_fidelity(self.fidelity)}
         lone = len(self.policies) == 1 and is_schedule_file(self.policies[0]) and not self.strict
         if lone:
-            print(f"one schedule: {BAR} is added for comparison")
             arguments |= {"policies": (*self.policies, BAR), "against": self.against or BAR}
         evaluate(**arguments)
+        if lone:
+            print(f"one schedule: {BAR} is added for comparison")
 
 
 @dataclass(frozen=True)
