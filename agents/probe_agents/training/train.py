@@ -139,12 +139,18 @@ def train(
     with run_folder(training, output, seed, origin).open(CHECKPOINT, **origin) as result:
         folder = result.path
         torch.set_num_threads(1)
-        env, plan, model = _new_run(training, seed, threads)
+        task, network = training.task.full_observation, StoredNetwork(**training.network.model_dump())
+        plan = Plan({}, training.validated_in, (0,), task, training.validation_fidelity, training.environment.probes)
+        env = _environments(training, training.environment.fidelity, threads)
+        set_random_seed(seed)
+        learning = training.learning.model_dump(exclude_none=True)
+        sizes = network.arguments("ppo")
+        model = PPO("MlpPolicy", env, policy_kwargs=sizes, device="cpu", seed=seed, **learning)
         rows = restore(model, folder / CHECKPOINT)
         if rows:
             _write_curve(rows, folder)  # the stored curve may lack the last phase
-        for row in rows:
-            watch(row)
+        for stored in rows:
+            watch(stored)
         imitated = training.imitation.rounds * training.imitation.steps if training.imitation else 0
         done = (imitated if rows else 0) + model.num_timesteps
         total = imitated + training.pretraining_steps + training.phases * training.phase_steps
@@ -153,9 +159,19 @@ def train(
             for phase in range(first + len(rows), training.phases + 1):
                 begin, kernels = time.perf_counter(), env.batch.kernel_seconds
                 _run_phase(training, model, env, phase, folder, bar.update)
-                times = {"wall_s": time.perf_counter() - begin, "kernel_s": env.batch.kernel_seconds - kernels}
-                trained = {"seed": seed, "phase": phase, "steps": model.num_timesteps} | origin
-                rows.append(_validate(training, model, plan, threads, rows, trained, folder / BEST) | times)
+                learned, kernels = time.perf_counter(), env.batch.kernel_seconds - kernels
+                row: dict[str, Any] = {"seed": seed, "phase": phase, "steps": model.num_timesteps}
+                description = Description(
+                    algorithm="ppo", network=network, view=training.view, task=training.task,
+                    tubes=ranges_of(training.trained_in), trained=row | origin,
+                )  # fmt: skip
+                agent = Agent(description, model.policy, task, f"phase {phase}")
+                table = run_plan(replace(plan, policies={"agent": agent}), None, threads=threads)
+                row |= {name: float(table[name].mean()) for name in ("reward", *VALIDATED)}
+                row |= {"validation_s": time.perf_counter() - learned, "wall_s": learned - begin, "kernel_s": kernels}
+                if all(row["reward"] > before["reward"] for before in rows):
+                    write_bundle(folder / BEST, description, model.policy)
+                rows.append(row)
                 save_checkpoint(model, rows, folder / CHECKPOINT)
                 _write_curve(rows, folder)
                 watch(rows[-1])
@@ -201,22 +217,6 @@ class ViewVecEnv(VecEnvWrapper):
         return features, np.asarray(rewards * self.reward_scale, dtype=np.float32), dones, infos
 
 
-def _new_run(training: Training, seed: int, threads: int | None) -> tuple[ViewVecEnv, Plan, PPO]:
-    """Environments of the training, the plan of the validation without a policy, and the untrained model."""
-    task = training.task.full_observation
-    plan = Plan({}, training.validated_in, (0,), task, training.validation_fidelity, training.environment.probes)
-    env = _environments(training, training.environment.fidelity, threads)
-    set_random_seed(seed)
-    arguments = _network(training).arguments("ppo")
-    learning = training.learning.model_dump(exclude_none=True)
-    model = PPO("MlpPolicy", env, policy_kwargs=arguments, device="cpu", seed=seed, **learning)
-    return env, plan, model
-
-
-def _network(training: Training) -> StoredNetwork:
-    return StoredNetwork(**training.network.model_dump())
-
-
 def _environments(training: Training, fidelity: str | Fidelity, threads: int | None) -> ViewVecEnv:
     """Environments of the training at a fidelity, with the features and actions of the agent."""
     settings, task = training.environment, training.task.full_observation
@@ -253,31 +253,6 @@ def _run_phase(
     steps = training.phase_steps if phase else training.pretraining_steps
     model.learn(steps, advance, reset_num_timesteps=False)
     model.logger.close()
-
-
-def _validate(
-    training: Training,
-    model: PPO,
-    plan: Plan,
-    threads: int | None,
-    rows: list[dict[str, Any]],
-    trained: dict[str, Any],
-    best: Path,
-) -> dict[str, Any]:
-    """Validate the agent and store it in ``best`` if it is the best so far; returns the row of the phase."""
-    description = Description(
-        algorithm="ppo", network=_network(training), view=training.view, task=training.task,
-        tubes=ranges_of(training.trained_in), trained=trained,
-    )  # fmt: skip
-    begin = time.perf_counter()
-    agent = Agent(description, model.policy, plan.config, f"phase {trained['phase']}")
-    table = run_plan(replace(plan, policies={"agent": agent}), None, threads=threads)
-    row = {name: trained[name] for name in ("seed", "phase", "steps")}
-    row |= {name: float(table[name].mean()) for name in ("reward", *VALIDATED)}
-    row["validation_s"] = time.perf_counter() - begin
-    if all(row["reward"] > before["reward"] for before in rows):
-        write_bundle(best, description, model.policy)
-    return row
 
 
 def imitate(model: PPO, env: ViewVecEnv, teacher: Policy, settings: Imitation, report: Callable[[int], Any]) -> None:
