@@ -21,8 +21,8 @@ from probe_agents.evaluation.repeat import (
     quiet_text,
     repeat_overview,
     repeat_schedule,
+    segments_of,
     share_to_repeat,
-    stretches_of,
     verdict_of,
     verdict_text,
 )
@@ -52,9 +52,9 @@ def insertion(feed=0.2, vibration=5e-5, last=END, **columns):
 
 def judged(metres, config=CONFIG, **ended):
     """Verdict and intervals."""
-    stretches = stretches_of(metres, config, **ended)
-    intervals = intervals_to_repeat(stretches, config)
-    return verdict_of("mine", [(stretches, intervals)], config), list(intervals.itertuples(index=False, name=None))
+    segments = segments_of(metres, config, **ended)
+    intervals = intervals_to_repeat(segments, config)
+    return verdict_of("mine", [(segments, intervals)], config), list(intervals.itertuples(index=False, name=None))
 
 
 def test_too_fast_too_loud_and_good():
@@ -180,8 +180,8 @@ def driven(schedule, config, begin, end, start):
 
 
 def scheduled(metres, config, context, **ended):
-    stretches = stretches_of(metres, config, **ended)
-    return repeat_schedule([(stretches, intervals_to_repeat(stretches, config), context)], config, stored_map())
+    segments = segments_of(metres, config, **ended)
+    return repeat_schedule([(segments, intervals_to_repeat(segments, config), context)], config, stored_map())
 
 
 def test_repeated_pass_is_slow_only_where_it_inspects():
@@ -218,9 +218,9 @@ def test_a_repeated_pass_is_quiet_where_it_was_loud():
     quiet = float(schedule.at(40.5)[0])
     for start in np.arange(36.0, 36.4, 0.02):  # vibration takes 2 s to decay
         assert driven(schedule, CONFIG, 40.0 - 1.9 * quiet, 40.5, start) <= quiet * (1.0 + 1e-6)
-    stretches = stretches_of(metres | {"radial_rms_m": 2.0 * metres["radial_rms_m"]}, CONFIG)
-    before = quiet_feeds(stretches_of(metres, CONFIG), context, CONFIG, vibration)
-    assert (quiet_feeds(stretches, context, CONFIG, vibration)[40:] <= before[40:]).all()
+    segments = segments_of(metres | {"radial_rms_m": 2.0 * metres["radial_rms_m"]}, CONFIG)
+    before = quiet_feeds(segments_of(metres, CONFIG), context, CONFIG, vibration)
+    assert (quiet_feeds(segments, context, CONFIG, vibration)[40:] <= before[40:]).all()
 
 
 def test_repeated_pass_has_max_air_after_lost_drive():
@@ -270,7 +270,7 @@ def test_evaluate_applies_the_permitted_speed(tube, tmp_path, capsys):
 
 
 def test_kpis_of_an_insertion_that_diverged_at_once():
-    kpis = instrument_kpis(stretches_of({"inserted_length": np.array([np.nan])}, CONFIG, complete=False), CONFIG)
+    kpis = instrument_kpis(segments_of({"inserted_length": np.array([np.nan])}, CONFIG, complete=False), CONFIG)
     nothing = ("length_too_fast_m", "speed_excess_m_per_s", "length_sensor_too_fast_m")
     assert kpis == dict.fromkeys(nothing, 0.0) | {"length_to_repeat_m": 55.0}
 

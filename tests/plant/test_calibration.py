@@ -16,9 +16,9 @@ from probe_agents.plant import inference
 from probe_agents.plant.calibration import read_cases, tube_file
 from probe_agents.plant.inference import (
     LIMIT,
-    Case,
     GainLikelihood,
     Likelihood,
+    LogCase,
     fit_gain,
     fit_sliding,
     sample_posterior,
@@ -53,7 +53,7 @@ def log_like(truth, rng, diameter=1.3, tube="", length=LENGTH, channels=CHANNELS
         deviations = (factor @ rng.normal(size=len(factor))).reshape(deviations.shape)
     measured = 10.0 ** (mean[0] + spread[0] * deviations)
     measured[:, 0] *= gain
-    return Case("log", tube, scene, Metres(length, feed, air, {n: measured[:, CHANNELS.index(n)] for n in channels}))
+    return LogCase("log", tube, scene, Metres(length, feed, air, {n: measured[:, CHANNELS.index(n)] for n in channels}))
 
 
 def with_measurements(case, measured):
@@ -248,7 +248,7 @@ def sliding_log(friction, drag, bore, noise=0.0):
     length = np.arange(5.5, 55.0)
     bare = Metres(length, np.linspace(0.3, 0.1, len(length)), 0.02 + 0.005 * np.sin(length / 5.0), {})
     tension = drag * steady_tension(np.full((1, 1), friction), bare, scene)[0] * np.exp(noise)
-    return with_measurements(Case("log", "", scene, bare), {"root_tension": tension})
+    return with_measurements(LogCase("log", "", scene, bare), {"root_tension": tension})
 
 
 def test_sliding_is_the_inverse_of_the_closed_form():

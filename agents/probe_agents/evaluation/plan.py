@@ -36,7 +36,7 @@ from probe_agents.evaluation.repeat import (
     is_judged,
     repeat_schedule,
     repeat_table,
-    stretches_of,
+    segments_of,
 )
 from probe_agents.evaluation.workers import HERE, Workers
 from probe_agents.policies.planner import ModelPredictivePolicy
@@ -373,8 +373,8 @@ class RolloutRunner:
                 kpis = with_pod_columns(info["episode_kpis"])
                 if is_judged(self.plan.config):
                     metres |= instrument_columns(self.profile[k], self.axial[k], self.plan.config)
-                    stretches = stretches_of(metres, self.plan.config, kpis["complete"] > 0.0, kpis["lost_drive"] > 0.0)
-                    kpis |= instrument_kpis(stretches, self.plan.config)
+                    segments = segments_of(metres, self.plan.config, kpis["complete"] > 0.0, kpis["lost_drive"] > 0.0)
+                    kpis |= instrument_kpis(segments, self.plan.config)
                 profile = {name: [float(f"{v:.5g}") for v in values] for name, values in metres.items()}
                 record = {"key": self.plan.key(episode), "episode": episode, "commit": commit(), "kpis": kpis}
                 probe = {"probe": self._probes[k]} if k in self._probes else {}

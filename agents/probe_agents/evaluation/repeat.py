@@ -38,7 +38,7 @@ MOST_ROWS: Final = 8
 
 
 @dataclass(frozen=True, eq=False)
-class Stretches:
+class Segments:
     """Consecutive pieces of an insertion and what was measured in them, (n,) each in SI units; NaN: not measured.
 
     Attributes:
@@ -73,10 +73,10 @@ class Stretches:
         }
 
 
-def stretches_of(
+def segments_of(
     metres: Mapping[str, FloatArray], config: TaskConfig, complete: bool = True, lost_drive: bool = False
-) -> Stretches:
-    """Stretches of an episode from its profile (columns (m,)) up to the end of the helix.
+) -> Segments:
+    """Segments of an episode from its profile (columns (m,)) up to the end of the helix.
 
     A metre without a row was passed within the period of the next one. Beyond the last row no metre was reached, and
     that of the last row not to its end if the episode is not complete.
@@ -103,7 +103,7 @@ def stretches_of(
     tension = column("tension_mean_n")
     if lost_drive and reached:
         tension[reached - 1] = 0.0
-    return Stretches(
+    return Segments(
         begin=np.concatenate([[first], ends[:-1]]),
         end=ends,
         feed=column("highest_feed"),
@@ -115,17 +115,17 @@ def stretches_of(
     )
 
 
-def intervals_to_repeat(stretches: Stretches, config: TaskConfig) -> pd.DataFrame:
+def intervals_to_repeat(segments: Segments, config: TaskConfig) -> pd.DataFrame:
     """Disjoint intervals in ascending order, columns ``INTERVAL`` [m]; reasons of one interval are joined by "and".
 
     For each reason, gaps shorter than ``repeat_length`` of the instrument are closed and shorter intervals extended to
     it on both sides, within the insertion.
     """
     shortest = config.instrument.repeat_length if config.instrument else 0.0
-    low, high = float(stretches.begin[0]), float(stretches.end[-1])
+    low, high = float(segments.begin[0]), float(segments.end[-1])
     by_reason = {
-        reason: _extended(stretches.begin[bad], stretches.end[bad], shortest, low, high)
-        for reason, bad in stretches.reasons(config).items()
+        reason: _extended(segments.begin[bad], segments.end[bad], shortest, low, high)
+        for reason, bad in segments.reasons(config).items()
     }
     edges = np.unique([edge for intervals in by_reason.values() for interval in intervals for edge in interval])
     rows: list[tuple[float, float, str]] = []
@@ -163,8 +163,8 @@ def _merged(intervals: Iterable[tuple[float, float]], gap: float) -> list[tuple[
     return merged
 
 
-Case = tuple[Stretches, pd.DataFrame]
-"""Stretches of an insertion, and its intervals to repeat."""
+RepeatCase = tuple[Segments, pd.DataFrame]
+"""Segments of an insertion, and its intervals to repeat."""
 Key = tuple[str | int, ...]
 """Values of ``CASE`` and, if training seeds are grouped, the training seed."""
 
@@ -176,25 +176,25 @@ def is_judged(config: TaskConfig) -> bool:
     )
 
 
-def instrument_kpis(stretches: Stretches, config: TaskConfig) -> dict[str, float]:
+def instrument_kpis(segments: Segments, config: TaskConfig) -> dict[str, float]:
     """Length driven too fast [m], most speed above the permitted one [m/s], and length to repeat [m].
 
     Unless the axial velocity is unknown, also the length [m] in which the sum of feed and its rms is too fast.
     """
-    too_fast, intervals = stretches.reasons(config)[SPEED], intervals_to_repeat(stretches, config)
-    length, limit = stretches.end - stretches.begin, config.permitted_speed[0] * (1.0 + TOLERANCE)
+    too_fast, intervals = segments.reasons(config)[SPEED], intervals_to_repeat(segments, config)
+    length, limit = segments.end - segments.begin, config.permitted_speed[0] * (1.0 + TOLERANCE)
     kpis = {
         "length_too_fast_m": float(length[too_fast].sum()),
-        "speed_excess_m_per_s": float((stretches.feed[too_fast] - config.permitted_speed[0]).max(initial=0.0)),
+        "speed_excess_m_per_s": float((segments.feed[too_fast] - config.permitted_speed[0]).max(initial=0.0)),
         "length_to_repeat_m": float((intervals["to_m"] - intervals["from_m"]).sum()),
     }
-    if np.isfinite(stretches.axial).any() or not np.isfinite(stretches.feed).any():
-        kpis["length_sensor_too_fast_m"] = float(length[stretches.feed + stretches.axial > limit].sum())
+    if np.isfinite(segments.axial).any() or not np.isfinite(segments.feed).any():
+        kpis["length_sensor_too_fast_m"] = float(length[segments.feed + segments.axial > limit].sum())
     return kpis
 
 
-def cases_of(table: pd.DataFrame, profile: pd.DataFrame, config: TaskConfig) -> dict[Key, Case]:
-    """Stretches and intervals of every episode.
+def cases_of(table: pd.DataFrame, profile: pd.DataFrame, config: TaskConfig) -> dict[Key, RepeatCase]:
+    """Segments and intervals of every episode.
 
     Args:
         table: episodes.
@@ -207,20 +207,20 @@ def cases_of(table: pd.DataFrame, profile: pd.DataFrame, config: TaskConfig) -> 
     for key, complete, lost in table.set_index(case)[["complete", "lost_drive"]].itertuples():
         rows = profiles.get(key, profile.iloc[:0])
         metres = {str(name): rows[name].to_numpy() for name in rows.columns.difference(case)}
-        stretches = stretches_of(metres, config, complete > 0.0, lost > 0.0)
-        cases[key] = stretches, intervals_to_repeat(stretches, config)
+        segments = segments_of(metres, config, complete > 0.0, lost > 0.0)
+        cases[key] = segments, intervals_to_repeat(segments, config)
     return cases
 
 
-def repeat_table(cases: Mapping[Key, Case]) -> pd.DataFrame:
+def repeat_table(cases: Mapping[Key, RepeatCase]) -> pd.DataFrame:
     """Intervals of all episodes, columns ``CASE`` and ``INTERVAL``."""
     parts = [part.assign(**dict(zip(CASE, key, strict=False))) for key, (_, part) in cases.items()]
     return pd.concat([pd.DataFrame(columns=[*CASE, *INTERVAL]), *filter(len, parts)], ignore_index=True)
 
 
-def by_policy(cases: Mapping[Key, Case]) -> dict[str, list[Case]]:
+def by_policy(cases: Mapping[Key, RepeatCase]) -> dict[str, list[RepeatCase]]:
     """The cases of every policy."""
-    policies: dict[str, list[Case]] = {}
+    policies: dict[str, list[RepeatCase]] = {}
     for key, case in cases.items():
         policies.setdefault(str(key[0]), []).append(case)
     return policies
@@ -261,9 +261,9 @@ class Verdict:
         return not self.too_fast
 
 
-def verdict_of(policy: str, cases: Sequence[Case], config: TaskConfig) -> Verdict:
+def verdict_of(policy: str, cases: Sequence[RepeatCase], config: TaskConfig) -> Verdict:
     """The verdict on the episodes of a policy, or on a log."""
-    kpis = pd.DataFrame([instrument_kpis(stretches, config) for stretches, _ in cases])
+    kpis = pd.DataFrame([instrument_kpis(segments, config) for segments, _ in cases])
     intervals: dict[str, tuple[tuple[float, float], ...]] = {}
     lengths: dict[str, float] = {}
     for reason in (SPEED, NOISE):
@@ -352,37 +352,37 @@ def _overview_rows(intervals: Sequence[pd.DataFrame], edges: FloatArray) -> list
     return rows
 
 
-def quiet_feeds(stretches: Stretches, context: Context, config: TaskConfig, vibration: VibrationMap) -> FloatArray:
-    """(n,) fastest feed [m/s] at which each stretch is expected within the vibration limit in a tube.
+def quiet_feeds(segments: Segments, context: Context, config: TaskConfig, vibration: VibrationMap) -> FloatArray:
+    """(n,) fastest feed [m/s] at which each segment is expected within the vibration limit in a tube.
 
     log10 of the expected vibration is the mean of the map, raised by its standard deviation or by what was measured
     above its mean, if that is more. Feeds above the driven one are not considered. Where no feed is quiet it is the
     slowest of the map; so it is where vibration was above the limit, if the map predicts another vibration measure.
     """
-    (slowest, fastest), count = feeds(config), len(stretches.begin)
+    (slowest, fastest), count = feeds(config), len(segments.begin)
     if vibration.measure != config.vibration_measure:
-        return np.where(stretches.reasons(config)[NOISE], slowest, fastest)
-    grid, middle = np.geomspace(slowest, fastest, QUIET_FEEDS), 0.5 * (stretches.begin + stretches.end)
-    driven = np.where(np.isfinite(stretches.feed), stretches.feed, fastest)
-    length, air = (np.repeat(values, QUIET_FEEDS + 1) for values in (middle, _air_of(stretches, config)))
+        return np.where(segments.reasons(config)[NOISE], slowest, fastest)
+    grid, middle = np.geomspace(slowest, fastest, QUIET_FEEDS), 0.5 * (segments.begin + segments.end)
+    driven = np.where(np.isfinite(segments.feed), segments.feed, fastest)
+    length, air = (np.repeat(values, QUIET_FEEDS + 1) for values in (middle, _air_of(segments, config)))
     feed = np.column_stack([np.tile(grid, (count, 1)), driven]).ravel()
     tubes = np.tile([getattr(context, name) for name in CONTEXT], (len(feed), 1))
     prediction = vibration.predict(length, feed, air, tubes, config.scene)
     mean, deviation = (values.reshape(count, -1) for values in prediction)
     with np.errstate(divide="ignore"):
-        measured = np.log10(stretches.vibration / 1e-4) - mean[:, -1]
+        measured = np.log10(segments.vibration / 1e-4) - mean[:, -1]
     level = mean[:, :-1] + np.fmax(measured[:, None], deviation[:, :-1])
     quiet = (level <= np.log10(rms_limit(config) / 1e-4)) & (grid <= driven[:, None])
     return np.asarray(np.where(quiet, grid, slowest).max(axis=1))
 
 
-def _air_of(stretches: Stretches, config: TaskConfig) -> FloatArray:
+def _air_of(segments: Segments, config: TaskConfig) -> FloatArray:
     """Air supply (n,) [m3/s]; where there is none, the last before it or the most."""
-    return pd.Series(stretches.air).ffill().fillna(config.air_supply_rates[1]).to_numpy()
+    return pd.Series(segments.air).ffill().fillna(config.air_supply_rates[1]).to_numpy()
 
 
 def repeat_schedule(
-    cases: Sequence[tuple[Stretches, pd.DataFrame, Context]],
+    cases: Sequence[tuple[Segments, pd.DataFrame, Context]],
     config: TaskConfig,
     vibration: VibrationMap,
     time_lapse: float = 1.0,
@@ -395,7 +395,7 @@ def repeat_schedule(
     lost drive on.
 
     Args:
-        cases: stretches, intervals and tube of each insertion.
+        cases: segments, intervals and tube of each insertion.
         config: task.
         vibration: vibration map.
         time_lapse: of the simulation in which the schedule is played.
@@ -404,16 +404,16 @@ def repeat_schedule(
     first, end = min(part[0].begin[0] for part in cases), max(part[0].end[-1] for part in cases)
     at = GRID * np.arange(math.floor(first / GRID), math.ceil(end / GRID - 1e-9))  # each is valid up to the next one
     feed, airs, lost = np.full(len(at), fastest), [], np.zeros(len(at), dtype=bool)
-    for stretches, intervals, context in cases:
-        piece = np.searchsorted(stretches.end, at + 0.5 * GRID).clip(max=len(stretches.end) - 1)
-        quiet = np.minimum(quiet_feeds(stretches, context, config, vibration), config.permitted_feed)[piece]
+    for segments, intervals, context in cases:
+        piece = np.searchsorted(segments.end, at + 0.5 * GRID).clip(max=len(segments.end) - 1)
+        quiet = np.minimum(quiet_feeds(segments, context, config, vibration), config.permitted_feed)[piece]
         for begin, to, reason in intervals.itertuples(index=False):
             slow = np.full(len(at), config.permitted_feed) if reason == SPEED else quiet
             ahead = 0.0 if reason == SPEED else SETTLING * time_lapse * slow[max(np.searchsorted(at, begin) - 1, 0)]
             inside = (at > begin - ahead - GRID) & (at < to - 1e-9)
             feed[inside] = np.minimum(feed, slow)[inside]
             lost |= inside & (DRIVE in reason)
-        airs.append(_air_of(stretches, config)[piece])
+        airs.append(_air_of(segments, config)[piece])
     if step > 0.0:
         feed = np.maximum(step * np.floor(feed / step * (1.0 + 1e-9)), slowest)
     points = math.ceil(fastest * config.period * (1 + config.delay_periods) / GRID)  # in a period

@@ -19,7 +19,7 @@ from probe_agents.evaluation.folder import Evaluation, read_evaluation
 from probe_agents.evaluation.kpis import KPIS, SCORED_PASSES, displayed_kpis, label_of
 from probe_agents.evaluation.profiles import Description, downloads, inner_policy, short_schedule, traces
 from probe_agents.evaluation.repeat import (
-    Case,
+    RepeatCase,
     by_policy,
     cases_of,
     is_judged,
@@ -248,7 +248,7 @@ def limit_of(task: TaskConfig) -> str:
     return f"{task.limit * factor:.4g} {unit}"
 
 
-def verdict_lines(cases: Mapping[str, Sequence[Case]], task: TaskConfig) -> dict[str, str]:
+def verdict_lines(cases: Mapping[str, Sequence[RepeatCase]], task: TaskConfig) -> dict[str, str]:
     """Policy -> whether its feed is allowed with the instrument."""
     return {policy: verdict_text(verdict_of(policy, own, task), len(own)) for policy, own in cases.items()}
 
@@ -266,7 +266,7 @@ def other_verdicts(done: Evaluation, policies: Collection[str]) -> dict[str, str
     }
 
 
-def _on_average(cases: Sequence[Case]) -> str:
+def _on_average(cases: Sequence[RepeatCase]) -> str:
     return " on average" if len(cases) > 1 else ""
 
 

@@ -15,8 +15,8 @@ import numpy as np
 
 from probe_agents.plant.inference import (
     LIMIT,
-    Case,
     Gain,
+    LogCase,
     Posterior,
     Sliding,
     fit_gain,
@@ -63,7 +63,7 @@ class Calibration:
     gains: list[Gain | None]  # of the tension gauge, per log; None without a tension
 
     @property
-    def cases(self) -> Sequence[Case]:
+    def cases(self) -> Sequence[LogCase]:
         """The logs."""
         return self.posterior.likelihood.cases
 
@@ -154,7 +154,7 @@ def read_cases(
     columns: Sequence[str],
     missing: Sequence[str] = (),
     time_format: str = "",
-) -> list[Case]:
+) -> list[LogCase]:
     """Read the logs and assign their tubes; all arguments are checked before the first log is read.
 
     Args:
@@ -209,12 +209,12 @@ def read_cases(
             problem = f"air_supply = {HOUR * metres.air[k]:.4g} m3/h at an inserted length of {metres.length[k]:g} m"
             hint = f"calibration needs air that is faster than the feed, there more than {HOUR * least[k]:.3g} m3/h"
             raise FileError(file, f"{problem}: {hint} - is the column or its unit wrong?")
-        cases.append(Case(label, tube, scene, metres))
+        cases.append(LogCase(label, tube, scene, metres))
     return cases
 
 
 def calibrate(
-    cases: Sequence[Case], plant: Plant, response: Response, file: str = "tube", progress: bool = True
+    cases: Sequence[LogCase], plant: Plant, response: Response, file: str = "tube", progress: bool = True
 ) -> Calibration:
     """Estimate the friction of each tube, and the stiffness, drag and damping that all tubes share.
 

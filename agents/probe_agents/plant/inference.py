@@ -50,7 +50,7 @@ SLIDING_SCATTER: Final = 0.02
 Z90: Final = 1.645
 
 
-class Case(NamedTuple):
+class LogCase(NamedTuple):
     """A log to fit: name, name of its tube (logs of one tube share a friction), scene and metres."""
 
     name: str
@@ -73,7 +73,7 @@ class Posterior(NamedTuple):
 class Likelihood:
     """Likelihood of cases under a response; ``tube_indices`` are the indices of the cases in ``tubes``, the names."""
 
-    def __init__(self, response: Response, cases: Sequence[Case]) -> None:
+    def __init__(self, response: Response, cases: Sequence[LogCase]) -> None:
         self.response, self.cases = response, cases
         self.tubes = tuple(dict.fromkeys(case.tube for case in cases))
         self.tube_indices = [self.tubes.index(case.tube) for case in cases]
@@ -139,7 +139,7 @@ class Likelihood:
 
 
 def sample_posterior(
-    response: Response, cases: Sequence[Case], prior: Prior, seed: int = 0, progress: bool = False
+    response: Response, cases: Sequence[LogCase], prior: Prior, seed: int = 0, progress: bool = False
 ) -> Posterior:
     """Sample the posterior of the frictions of all tubes and of the shared unknowns; ``seed``: of the walkers."""
     import emcee
@@ -263,7 +263,7 @@ class Sliding(NamedTuple):
     drag_coefficient: tuple[float, float, float]
 
 
-def fit_sliding(cases: Sequence[Case], prior: Prior) -> Sliding | None:
+def fit_sliding(cases: Sequence[LogCase], prior: Prior) -> Sliding | None:
     """Fit friction and drag of one tube by the closed form of steady sliding; None without a tension.
 
     Least squares of the logarithm of the tension over the metres of the tube's logs, with drag near its prior. The

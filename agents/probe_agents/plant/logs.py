@@ -12,7 +12,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from probe_agents.evaluation.repeat import (
-    Stretches,
+    Segments,
     intervals_to_repeat,
     repeat_schedule,
     verdict_of,
@@ -173,7 +173,7 @@ def read_log(
     return Log(time, rounded, speed, air, measured, whole.repairs, whole.notes, deviation, gaps)
 
 
-def log_stretches(log: Log, config: TaskConfig) -> Stretches:
+def log_segments(log: Log, config: TaskConfig) -> Segments:
     """The metres of a log from its start on, and what is missing to the end of the helix of a task."""
     moving = np.flatnonzero(np.diff(log.inserted_length) > 0.0)
     if not len(moving):
@@ -186,7 +186,7 @@ def log_stretches(log: Log, config: TaskConfig) -> Stretches:
     def column(values: FloatArray | None, statistic: Callable[[FloatArray], Any]) -> FloatArray:
         return np.array([np.nan if values is None else statistic(values[part]) for part in rows])
 
-    stretches = Stretches(
+    segments = Segments(
         begin=edges[:-1],
         end=edges[1:],
         feed=column(log.feed_speed, np.max),
@@ -197,11 +197,11 @@ def log_stretches(log: Log, config: TaskConfig) -> Stretches:
         missing=np.any((edges[:-1, None] < log.gaps[:, 1]) & (edges[1:, None] > log.gaps[:, 0]), axis=1),
     )
     if helix - end[-1] < NEAR_END:
-        return stretches
+        return segments
     unknown = np.array([np.nan])
-    rest = Stretches(end[-1:], np.array([helix]), unknown, unknown, unknown, unknown, unknown, np.array([True]))
-    pairs = ((getattr(stretches, f.name), getattr(rest, f.name)) for f in fields(Stretches))
-    return Stretches(*map(np.concatenate, pairs))
+    rest = Segments(end[-1:], np.array([helix]), unknown, unknown, unknown, unknown, unknown, np.array([True]))
+    pairs = ((getattr(segments, f.name), getattr(rest, f.name)) for f in fields(Segments))
+    return Segments(*map(np.concatenate, pairs))
 
 
 def write_repeat(log: Log, name: str, case: EvaluationCase, folder: Path) -> list[Path]:
@@ -216,14 +216,14 @@ def write_repeat(log: Log, name: str, case: EvaluationCase, folder: Path) -> lis
     Returns:
         the files; without a metre to repeat there is no schedule.
     """
-    stretches = log_stretches(log, case.config)
-    intervals = intervals_to_repeat(stretches, case.config)
-    print_terms({"speed": verdict_text(verdict_of(name, [(stretches, intervals)], case.config))})
+    segments = log_segments(log, case.config)
+    intervals = intervals_to_repeat(segments, case.config)
+    print_terms({"speed": verdict_text(verdict_of(name, [(segments, intervals)], case.config))})
     texts = {f"{name}-to-repeat.csv": intervals.to_csv(index=False, float_format="%.6g")}
     if len(intervals):
         rows = [(f"{begin:.1f}", f"{end:.1f}", reason) for begin, end, reason in intervals.itertuples(index=False)]
         print_table("Metres to repeat", ("from [m]", "to [m]", "reason"), rows, left=0)
-        parts = [(stretches, intervals, context) for context in case.contexts]
+        parts = [(segments, intervals, context) for context in case.contexts]
         texts[f"repeat-{name}.csv"] = repeat_schedule(parts, case.config, case.vibration).to_csv()
     else:
         print_terms({"to repeat": "nothing"})

@@ -48,6 +48,9 @@ SHAPES: Final = {
     "reach": (2,),
     "misfit": (len(CHANNELS) + 1,),
 }
+"""Array of the file -> shape."""
+ATTRIBUTES: Final = {"alike": "shared_covariance"}
+"""Array of the file -> attribute, where they differ."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,8 +103,8 @@ class Response:
         scaling: (2, 10) centre and spread of the inputs.
         ranges: (2, 5) smallest and largest inserted length [m], feed speed [m/s], pull of the air on a metre [N/m],
             helix diameter [m] and radial room of the floats [m] in training.
-        alike: (3, c, c) covariance of the standardised deviations of channels: the part that decays over ``reach[0]``,
-            the part that decays over ``reach[1]``, and the part of each metre alone.
+        shared_covariance: (3, c, c) covariance of the standardised deviations of channels: the part that decays over
+            ``reach[0]``, the part that decays over ``reach[1]``, and the part of each metre alone.
         reach: (2,) [m].
         misfit: (c + 1,) 99th percentile over simulated logs of the mean squared deviation of each channel, and of all.
     """
@@ -109,7 +112,7 @@ class Response:
     layers: tuple[tuple[FloatArray, FloatArray], ...]
     scaling: FloatArray
     ranges: FloatArray
-    alike: FloatArray
+    shared_covariance: FloatArray
     reach: FloatArray
     misfit: FloatArray
 
@@ -153,7 +156,9 @@ class Response:
         apart = np.abs(length[:, None] - length)
         kernels = (*(np.exp(-apart / reach) for reach in self.reach), np.eye(len(length)))
         part = np.ix_(chosen, chosen)
-        return np.asarray(sum(np.kron(k, alike[part]) for k, alike in zip(kernels, self.alike, strict=True)))
+        return np.asarray(
+            sum(np.kron(k, shared[part]) for k, shared in zip(kernels, self.shared_covariance, strict=True))
+        )
 
     def misfit_of(self, deviations: FloatArray, length: FloatArray, chosen: list[int]) -> FloatArray:
         """(c + 1,) mean squared decorrelated deviation of every channel, and of all; NaN for channels not chosen.
@@ -186,11 +191,11 @@ class Response:
             if name not in arrays or arrays[name].shape != shape:
                 raise FileError(path, f"{name}: missing, or shape is not {shape}")
         layers = tuple((arrays[f"weights{k}"], arrays[f"biases{k}"]) for k in range(LAYERS))
-        return cls(layers, **{name: arrays[name].astype(float) for name in SHAPES})
+        return cls(layers, **{ATTRIBUTES.get(name, name): arrays[name].astype(float) for name in SHAPES})
 
     def save(self, path: Path) -> None:
         """Write it atomically."""
-        arrays = {name: getattr(self, name) for name in SHAPES}
+        arrays = {name: getattr(self, ATTRIBUTES.get(name, name)) for name in SHAPES}
         for k, (weights, biases) in enumerate(self.layers):
             arrays |= {f"weights{k}": weights, f"biases{k}": biases}
         buffer = io.BytesIO()

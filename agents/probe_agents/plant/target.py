@@ -74,7 +74,7 @@ class Candidate(NamedTuple):
     tension: float
 
 
-class Found(NamedTuple):
+class TargetResult(NamedTuple):
     """The fastest schedule within the target, its simulated limit of a90 [% of the wall], and all schedules.
 
     ``table`` has a row per schedule: upper limit of a90 [% of the wall], time [s], and whether the limit is simulated;
@@ -187,7 +187,7 @@ class MapSearch:
         return Candidate(settings.schedule(path), a90, upper_limit(a90), time, tension)
 
 
-def find_schedule(search: MapSearch, target: float, simulated_limit: Callable[[Candidate], float]) -> Found:
+def find_schedule(search: MapSearch, target: float, simulated_limit: Callable[[Candidate], float]) -> TargetResult:
     """The fastest schedule of a search whose simulated limit of a90 is within a target.
 
     Args:
@@ -223,12 +223,12 @@ def find_schedule(search: MapSearch, target: float, simulated_limit: Callable[[C
     for depth in np.geomspace(least.limit, loosest.limit, POINTS):
         candidate = search.fastest(float(depth)) or least
         rows.append((min(ratio * candidate.limit, 100.0), candidate.time, False))
-    return Found(found, limit, pd.DataFrame(sorted(rows), columns=["a90_percent_wall", "time_s", "simulated"]))
+    return TargetResult(found, limit, pd.DataFrame(sorted(rows), columns=["a90_percent_wall", "time_s", "simulated"]))
 
 
 def recommend_for_target(
     target: float, tube: Path | None, output: Path, confirmation: Confirmation, workers: Workers = HERE
-) -> Found:
+) -> TargetResult:
     """Search and write the fastest schedule for a target of a90, simulate it with others, print.
 
     Args:
