@@ -139,7 +139,7 @@ def test_errors_of_the_system_name_the_file(tmp_path, monkeypatch):
     for path, write in (
         (tmp_path / "a.csv", lambda path: write_atomically(path, "text")),
         (tmp_path / "b\n.jsonl", write_line),
-        (tmp_path / "c.jsonl", lambda path: open_study(path, "known", ["minimize"], ["x"])),
+        (tmp_path / "c.jsonl", lambda path: open_study(path, "known", ["minimize"])),
     ):
         with pytest.raises(OSError, match="No space left") as error:
             write(path)

@@ -209,7 +209,7 @@ def test_flipped_bits_of_the_journal_of_a_search_are_not_read(tmp_path):
     path, space = tmp_path / "study.jsonl", {"x": optuna.distributions.FloatDistribution(0.0, 1.0)}
 
     def study():
-        return open_study(path, "known", ["minimize"], ["x"])
+        return open_study(path, "known", ["minimize"])
 
     def trials():
         return [(trial.state, trial.value, trial.params) for trial in study().get_trials()]

@@ -76,7 +76,7 @@ def search(
         starts: first points, part of the first generation.
     """
     output.mkdir(parents=True, exist_ok=True)
-    study = open_study(output / JOURNAL, name, DIRECTIONS, axes)
+    study = open_study(output / JOURNAL, name, DIRECTIONS)
 
     def complete() -> int:
         return len(study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,)))

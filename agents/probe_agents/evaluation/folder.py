@@ -128,12 +128,7 @@ def episodes_of(output: Path) -> Journal[Episode]:
 
 
 def read_episodes(path: Path) -> pd.DataFrame:
-    """A table of episodes, CSV or Parquet.
-
-    Raises:
-        FileNotFoundError: no such file.
-        FileError: the file is damaged.
-    """
+    """A table of episodes, CSV or Parquet."""
     return (read_csv if path.suffix == ".csv" else read_parquet)(path, EPISODES)
 
 

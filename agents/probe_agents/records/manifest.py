@@ -46,9 +46,6 @@ def write_manifest(
         command: command line; default: the one of this process.
         commits: commits of the rows in its tables; default: the present one.
         settings: further fields, JSON-ready.
-
-    Raises:
-        FileNotFoundError: one of the files does not exist.
     """
     hashes = {file: hashlib.sha256((folder / file).read_bytes()).hexdigest() for file in files}
     write_json(folder / "manifest.json", origin(command, commits) | {"seeds": list(seeds), "files": hashes} | settings)

@@ -49,12 +49,7 @@ def require(field: str, values: Mapping[str, Any], names: Iterable[str]) -> None
 
 
 def read_json(path: Path, model: type[S]) -> S:
-    """A JSON file as a model.
-
-    Raises:
-        FileNotFoundError: no such file.
-        FileError: not JSON, or invalid for the model.
-    """
+    """A JSON file as a model."""
     return validate(path, "", read_text(path, MAX_JSON), model)
 
 

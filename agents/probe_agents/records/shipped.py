@@ -51,11 +51,7 @@ def shipped_names(kind: Kind) -> tuple[str, ...]:
 
 
 def file_or_shipped(kind: Kind, name: str | Path) -> Path:
-    """An existing file, else the shipped file of this name, with or without its ending.
-
-    Raises:
-        NoSuchFileError: neither exists.
-    """
+    """An existing file, else the shipped file of this name, with or without its ending."""
     path = Path(name)
     if path.exists() and not path.is_dir():
         return path
@@ -74,11 +70,7 @@ def shipped_agents() -> dict[str, tuple[int, ...]]:
 
 
 def policy_file(spec: str) -> str:
-    """The path of a shipped agent, NAME or NAME@SEED, or schedule; any other spec is returned unchanged.
-
-    Raises:
-        ValueError: the agent has no such training seed.
-    """
+    """The path of a shipped agent, NAME or NAME@SEED, or schedule; any other spec is returned unchanged."""
     if Path(spec).suffix and Path(spec).exists():
         return spec
     name, at, seed = spec.partition("@")

@@ -51,10 +51,6 @@ def read_csv(path: Path, columns: Columns = _NONE) -> pd.DataFrame:
     Args:
         path: the file.
         columns: columns and their kinds.
-
-    Raises:
-        FileNotFoundError: no such file.
-        FileError: not CSV, or a required column is missing or not of its kind.
     """
     text = read_text(path, MAX_CSV)
     header = next(filter(None, csv.reader(io.StringIO(text))), [])
@@ -102,12 +98,7 @@ def _csv_error(error: str, header: Sequence[str]) -> str:
 
 
 def read_parquet(path: Path, columns: Columns) -> pd.DataFrame:
-    """The columns of a Parquet table, in the order of the file.
-
-    Raises:
-        FileNotFoundError: no such file.
-        FileError: not Parquet, too many rows, or a required column is missing or not of its kind.
-    """
+    """The columns of a Parquet table, in the order of the file."""
     stored = read_bytes(path, MAX_PARQUET)
     try:
         file = pq.ParquetFile(io.BytesIO(stored))

@@ -120,7 +120,7 @@ def _contains(distribution: BaseDistribution, value: Any) -> bool:
 def search(tuning: Tuning, trials: int, output: Path) -> optuna.Study:
     """Run or continue a search in a folder; each trial adds a row to trials.csv."""
     output.mkdir(parents=True, exist_ok=True)
-    study, origin = open_study(output / JOURNAL, "tuning", ["maximize"], tuning.space), made_by()
+    study, origin = open_study(output / JOURNAL, "tuning", ["maximize"]), made_by()
     # phase 0 is the warm start, which hardly depends on the hyperparameters
     study.pruner = optuna.pruners.MedianPruner(n_startup_trials=STARTUP_TRIALS, n_warmup_steps=1)
     announce(Work("trial", trials, lambda: len(finished(study)), output))
