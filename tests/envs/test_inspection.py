@@ -31,7 +31,7 @@ def period_to(end):
     zero = np.zeros(1)
     return StepRecord(
         stepped=ONE, finite=ONE, length_before=ONE, length_after=np.array([end]), helix_length=np.array([9.0]),
-        air=zero, seconds=zero, max_tension=zero, buckling_load=zero, window=None, signals={},
+        air=zero, seconds=zero, max_tension=zero, buckling_load=zero, window=None, signals={}, sensor_noise=zero,
     )  # fmt: skip
 
 

@@ -13,6 +13,7 @@ from probe_env.arrays import BoolArray, FloatArray, rows_of
 from probe_env.envs.contexts import Context
 from probe_env.envs.episodes.limits import check_fidelity, check_start
 from probe_env.envs.task import TaskConfig, air_used
+from probe_env.envs.task.observations import normal_draws
 from probe_env.fidelity import Fidelity
 from probe_env.inspection.snr import FilteredSignal, SnrEstimator
 from probe_env.physics.closed_forms import buckling_load
@@ -39,6 +40,7 @@ class StepRecord(NamedTuple):
     buckling_load: FloatArray  # of the cable between two floats [N]
     window: Window  # statistics of the sensor's motion and root tension, with samples if they are simulated
     signals: Mapping[int, FilteredSignal]  # finite probes with samples, see ``SnrEstimator.last``
+    sensor_noise: FloatArray  # (N, 2) standard normal draws, see ``observe``
 
 
 class Backend(ABC):
@@ -201,6 +203,7 @@ class Simulated(Backend):
             buckling_load=self.buckling_load,
             window=window,
             signals={k: self.meter.last(k) for k in np.flatnonzero(finite).tolist()},
+            sensor_noise=normal_draws(rngs, finite, 2),
         )
 
     def branch(self, which: Sequence[int]) -> Self:

@@ -232,7 +232,7 @@ class Episodes:
         record = self.backend.advance(stepped, targets, self.direction, self.rng)
         self.window = window = record.window
         scored = self.scorer.score(record, change)
-        self.sensors.update(self._measured(window), record.finite, normal_draws(self.rng, record.finite, 2), self.rng)
+        self.sensors.update(self._measured(window), record.finite, record.sensor_noise, self.rng)
         terminated, truncated = scored.terminated, scored.truncated
         self.running &= ~(terminated | truncated)
         info = self._info(window) | {

@@ -158,7 +158,7 @@ class Predicted(Backend):
         after = drives_after(steps, config.period / steps, config.ramp, config.air_lag, *now[:2], targets, now[2])
         self.feed, self.air, length = (np.where(stepped, new, old) for new, old in zip(after, now, strict=True))
         self.length = np.minimum(length, self.helix_length)
-        normal = normal_draws(rngs, stepped, DRAWS)
+        normal = normal_draws(rngs, stepped, DRAWS + 2)
         for column, process in enumerate(self.processes):
             following = process.next(self.scatter[:, column], normal[:, SCATTERED[column]])
             self.scatter[stepped, column] = following[stepped]
@@ -175,10 +175,11 @@ class Predicted(Backend):
             buckling_load=self.buckling_load,
             window=window,
             signals={},
+            sensor_noise=normal[:, DRAWS:],
         )
 
     def _window(self, normal: FloatArray) -> Window:
-        """Predicted statistics of a period, by standard normal draws (N, ``DRAWS``)."""
+        """Predicted statistics of a period, by standard normal draws (N, ``DRAWS`` or more)."""
         noise, scene, tubes = self.noise, self.config.scene, self.tubes
         length, feed = np.maximum(self.length, 1.0), np.maximum(self.feed, 1e-3)
         mean = self.map.predict(length, feed, self.air, tubes, scene, product_of_rows)[0]

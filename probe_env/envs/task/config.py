@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from functools import cached_property
 from typing import Annotated, Any, Final, Literal
 
 import numpy as np
@@ -287,7 +288,12 @@ class TaskConfig(Observation, Disturbances, Limits, Reward, Actuators, Timing, R
         """Number of actions of the environment after which an episode is truncated."""
         return math.ceil(self.most_periods / self.periods_per_action)
 
-    @property
+    @cached_property
+    def _ranges(self) -> FloatArray:
+        """(2, 2) low and high ends of feed speed and air supply."""
+        return np.array([self.feed_speeds, self.air_supply_rates]).T
+
+    @cached_property
     def observations(self) -> dict[str, tuple[float, float, str]]:
         """Name -> (low, high, meaning) of this variant's observation."""
         visible = {k: v for k, v in OBSERVATIONS.items() if k != "root_tension" or self.observe_root_tension}
@@ -337,12 +343,14 @@ class TaskConfig(Observation, Disturbances, Limits, Reward, Actuators, Timing, R
     def scaled(self, actions: npt.NDArray[np.floating]) -> FloatArray:
         """``targets`` of valid actions."""
         values = actions.astype(float)
-        low, high = np.array([self.feed_speeds, self.air_supply_rates]).T
-        targets: FloatArray = low + 0.5 * (np.clip(values, -1.0, 1.0) + 1.0) * (high - low)
+        low, high = self._ranges
+        targets: FloatArray = low + 0.5 * (np.minimum(np.maximum(values, -1.0), 1.0) + 1.0) * (high - low)
         for column, step in enumerate((self.feed_speed_step, self.air_supply_step)):
             if step > 0.0:
                 targets[:, column] = np.clip(step * np.round(targets[:, column] / step), low[column], high[column])
-        targets[(values[:, 0] < -1.0 - 1e-6) & (values[:, 0] == self.standstill), 0] = 0.0
+        below = values[:, 0] < -1.0 - 1e-6
+        if below.any():
+            targets[below & (values[:, 0] == self.standstill), 0] = 0.0
         return targets
 
     def feasible(self, feed_speed: FloatArray | float, air_supply_rate: FloatArray | float) -> FloatArray:

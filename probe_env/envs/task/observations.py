@@ -72,8 +72,9 @@ def in_si_units(config: TaskConfig, observation: npt.NDArray[np.floating[Any]]) 
 def normal_draws(rngs: Sequence[np.random.Generator], which: BoolArray, count: int) -> FloatArray:
     """(N, count) standard normal draws from the generator of each probe; 0 for probes not in ``which`` (N,)."""
     draws = np.zeros((len(which), count))
-    for k in np.flatnonzero(which).tolist():
-        rngs[k].standard_normal(out=draws[k])
+    for rng, chosen, row in zip(rngs, which.tolist(), draws, strict=True):
+        if chosen:
+            rng.standard_normal(out=row)
     return draws
 
 
