@@ -5,21 +5,21 @@ from __future__ import annotations
 from typing import Final
 
 COMMANDS: Final = {
-    "simulate": ("simulate:Simulate", "one scene by any method: statistics, signals, figures"),
+    "simulate": ("evaluation:Simulate", "one scene by any method: statistics, signals, figures"),
     "evaluate": ("evaluation:Evaluate", "policies and schedules on the same tubes, with a report"),
     "render": ("evaluation:Render", "animation of an insertion, or slow motion near the tip"),
     "signal": ("evaluation:Signal", "sensor signals of a run: X, Y, flaws, calls"),
     "agents": ("evaluation:Agents", "list trained agents and other policies"),
     "train": ("training:Train", "train agents from a training file, with checkpoints"),
     "tune": ("training:Tune", "search hyperparameters"),
-    "compare": ("design:Compare", "probe designs on the same tubes"),
-    "design": ("design:DesignSearch", "search for probe designs"),
+    "compare": ("training:Compare", "probe designs on the same tubes"),
+    "design": ("training:DesignSearch", "search for probe designs"),
     "log": ("plant:ReadLog", "read a rig's log and write it as a schedule"),
     "calibrate": ("plant:Calibrate", "estimate friction and other unknowns from logs"),
     "recommend": ("plant:Recommend", "schedule with the best expected reward for your plant"),
     "plc": ("plant:Plc", "for a PLC: recommended schedule and feedback law"),
     "app": ("plant:App", "edit, run and compare schedules in the browser"),
-    "study": ("studies:Study", "run a study by name or from a file"),
+    "study": ("training:Study", "run a study by name or from a file"),
 }
 """Name -> module of ``probe_agents.cli`` with dataclass, and the line on the first page."""
 NEEDS: Final = {
