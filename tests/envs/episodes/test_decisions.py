@@ -78,24 +78,6 @@ def test_shaping_alone_leaves_actions_and_observations():
     assert shaped == pytest.approx(reward + 2.0 * (info["inserted_length"] - begun[1]), rel=1e-9)
 
 
-def test_batches_equal_single_environments():
-    rng = np.random.default_rng(0)
-    batch, sb3 = gym.make_vec("probe_env/IncrementalInsertion-v1", 2, fidelity="surrogate"), ProbeVecEnv(
-        "probe_env/IncrementalInsertion-v1", 2, fidelity="surrogate"
-    )  # fmt: skip
-    single = [gym.make("probe_env/IncrementalInsertion-v1", fidelity="surrogate") for _ in range(2)]
-    sb3.seed(5)
-    first = [env.reset(seed=5 + k)[0] for k, env in enumerate(single)]
-    assert np.array_equal(batch.reset(seed=5)[0], first)
-    assert np.array_equal(sb3.reset(), first)
-    for _ in range(20):
-        actions = rng.uniform(-1.0, 1.0, (2, 2)).astype(np.float32)
-        one = [env.step(action) for env, action in zip(single, actions, strict=True)]
-        for many in (batch.step(actions), sb3.step(actions)):
-            assert np.array_equal(many[0], [each[0] for each in one])
-            assert np.allclose(many[1], [each[1] for each in one], rtol=1e-6)
-
-
 def test_agent_acts_in_evaluations_as_in_its_environment(tmp_path):
     """Bit for bit: the evaluation has a target for each control period, the environment an action for five."""
     train = ProbeVecEnv("probe_env/IncrementalInsertion-v1", 2, fidelity="surrogate")
