@@ -87,7 +87,7 @@ def values(name: str, folder: Path, shift: int = 0) -> Columns:
     return {
         f"{path.relative_to(folder)}, {column}": [cell_of(cell) for cell in cells[:: max(1, len(cells) // kept)]]
         for path in files
-        if not IGNORED_FILES.search(path.name) and path.name not in ("setting.json", "tube.json")
+        if not IGNORED_FILES.search(path.name) and path.name != "setting.json"
         for column, cells in columns_of(path).items()
         if column not in LEFT_OUT and (not ends or ENDS.search(column))
     }

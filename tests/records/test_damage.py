@@ -18,6 +18,7 @@ from safetensors.numpy import load, save
 from probe_agents.cli import main
 from probe_agents.design.compare import Trial
 from probe_agents.evaluation.folder import (
+    EPISODES,
     PROFILE,
     Episode,
     Manifest,
@@ -158,7 +159,11 @@ TABLES = ANYWHERE | {
 
 
 def test_parquet_tables(stored, monkeypatch):
-    for name, read in (("episodes", read_episodes), ("profile", lambda path: read_parquet(path, PROFILE))):
+    for name, columns in (("episodes", EPISODES), ("profile", PROFILE)):
+
+        def read(path, columns=columns):
+            return read_parquet(path, columns)
+
         read(stored / f"{name}.parquet")
         assert failures_of(stored / f"{name}.parquet", TABLES, read) == [], name
     monkeypatch.setattr("probe_agents.records.tables.MAX_ROWS", 3)
@@ -212,6 +217,8 @@ def test_commands_name_the_damaged_file(stored, refused, tmp_path, capsys):
         content = (stored / name).read_bytes()
         (stored / name).write_bytes(content[:40] + bytes([content[40] ^ 1]) + content[41:])
         refused(["evaluate", stored], f"{stored / name}: its content is not what manifest.json says")
+        if name == "episodes.parquet":
+            refused(["signal", "--evaluation", stored], f"{stored / name}: its content is not what manifest.json says")
         (stored / name).write_bytes(content)
     (stored / "profile.parquet").unlink()
     refused(["evaluate", stored], f"no such file: {stored / 'profile.parquet'}")

@@ -129,6 +129,7 @@ def episodes_of(output: Path) -> Journal[Episode]:
 
 def read_episodes(path: Path) -> pd.DataFrame:
     """A table of episodes, CSV or Parquet."""
+    check_hashes(path.parent, path.name)
     return (read_csv if path.suffix == ".csv" else read_parquet)(path, EPISODES)
 
 
@@ -197,7 +198,7 @@ def read_evaluation(folder: Path) -> Evaluation:
     paths = [folder / name for name in ("episodes.parquet", "profile.parquet", "manifest.json", SETTING)]
     if missing := [path for path in paths if not path.exists()]:
         raise FileNotFoundError(errno.ENOENT, "no evaluation is stored there", str(missing[0]))
-    check_hashes(folder, *(path.name for path in paths))
+    check_hashes(folder, "profile.parquet", SETTING)
     table, profile = grouped(read_episodes(paths[0])), grouped(read_parquet(paths[1], PROFILE))
     if not set(profile["policy"]) <= set(table["policy"]):
         raise FileError(paths[1], "has policies that are not in episodes.parquet: evaluate again into this folder")
