@@ -131,6 +131,12 @@ def test_another_identity_is_refused_and_nothing_changed(changes, code, message,
     assert contents(tmp_path) == before
 
 
+def test_a_free_setting_is_stored_again(finished):
+    with folder_of(finished, task={"period": 1.0, "observe_air": False}).open():
+        pass
+    assert json.loads((finished / "setting.json").read_text())["task"]["observe_air"] is False
+
+
 def test_a_damaged_or_missing_identity_is_refused(finished):
     setting = finished / "setting.json"
     for content in ("{}", "seven", ""):
