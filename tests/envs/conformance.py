@@ -1,28 +1,19 @@
-"""Conformance checks of a vector environment against its single environment; a failure is an ``AssertionError``.
+"""Checks of a batch (``VectorEnv`` or SB3's ``VecEnv``) against single environments.
 
-The checks: N environments equal N single ones bit for bit, for any N and order; autoreset follows the declared mode;
-truncation, termination and the final observation are reported; returned arrays are not modified later.
+N environments equal N single ones bit for bit, for any N and order; autoreset follows the declared mode; truncation,
+termination and the final observation are reported; returned arrays are not modified later.
 """
 
-from __future__ import annotations
-
 import copy
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import NamedTuple
 
-import gymnasium as gym
 import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 from stable_baselines3.common.vec_env import VecEnv
 
-Make = Callable[[int], Any]
-MakeSingle = Callable[[], gym.Env[Any, Any]]
 
-
-@dataclass
-class VectorStep:
-    """One step of N environments; ``final`` has the final observations of those that were reset in this step."""
+class Step(NamedTuple):
+    """A step of N environments; ``final`` has the final observations of those that were reset in it."""
 
     observation: np.ndarray
     reward: np.ndarray
@@ -31,137 +22,92 @@ class VectorStep:
     final: dict[int, np.ndarray]
 
 
-def check_vector_env(make: Make, make_single: MakeSingle, num_envs: int = 3, steps: int = 12, seed: int = 5) -> None:
-    """Run all checks for a factory of ``VectorEnv`` or SB3's ``VecEnv``; an episode must end within ``steps``."""
-    actions = _actions(make_single, num_envs, steps)
-    seeds = [seed + k for k in range(num_envs)]
-    mode = _mode(make, num_envs)
-    expected_start, expected = _reference(make_single, seeds, actions, mode)
-    assert any((o.terminated | o.truncated).any() for o in expected), (
-        f"no episode ends within {steps} steps: nothing to check"
-    )
-    start, first = _run(make(num_envs), seed, actions)
-    _compare(start, first, expected_start, expected, "N environments differ from N single ones")
-    second_start, second = _run(make(num_envs), seed, actions)
-    _compare(second_start, second, expected_start, expected, "a second run with the same seed differs")
-    one_start, one = _run(make(1), seed, actions[:, :1])
-    _compare(one_start, one, expected_start[:1], [_take(o, [0]) for o in expected], "the result depends on num_envs")
-    env = make(num_envs)
-    if isinstance(env, VectorEnv):  # accepts one seed per environment
-        order = list(reversed(range(num_envs)))
-        permuted_start, permuted = _run(env, [seeds[k] for k in order], actions[:, order])
-        reordered = [_take(o, order) for o in expected]
-        _compare(permuted_start, permuted, expected_start[order], reordered, "the result depends on the order")
-    # with autoreset disabled, an ended episode would need a reset
-    _check_aliasing(make(num_envs), seed, actions[:1] if mode is AutoresetMode.DISABLED else actions)
-
-
-def _check_aliasing(env: Any, seed: int, actions: np.ndarray) -> None:
-    copies: list[tuple[np.ndarray, np.ndarray]] = []
-    observation = _reset(env, seed)
-    copies.append((observation, observation.copy()))
-    for action in actions:
-        outcome = _step(env, action)
-        copies += [(array, array.copy()) for array in (outcome.observation, outcome.reward)]
-        copies += [(array, array.copy()) for array in outcome.final.values()]
-    for array, saved in copies:
-        assert np.array_equal(array, saved), "a returned array was modified later"
-    env.close()
-
-
-def _mode(make: Make, num_envs: int) -> AutoresetMode:
-    env = make(num_envs)
-    mode = env.metadata["autoreset_mode"] if isinstance(env, VectorEnv) else AutoresetMode.SAME_STEP
-    assert isinstance(mode, AutoresetMode), f"metadata['autoreset_mode'] = {mode!r} is not an AutoresetMode"
-    env.close()
-    return mode
-
-
-def _actions(make_single: MakeSingle, num_envs: int, steps: int) -> np.ndarray:
+def check_vector_env(make, make_single, num_envs=3, steps=12, seed=5):
+    """Run all checks for a factory of batches; an episode must end within ``steps``."""
     space = make_single().action_space
     space.seed(1)
-    return np.array([[space.sample() for _ in range(num_envs)] for _ in range(steps)])
+    actions = np.array([[space.sample() for _ in range(num_envs)] for _ in range(steps)])
+    seeds, every, batch = [seed + k for k in range(num_envs)], list(range(num_envs)), make(num_envs)
+    mode = batch.metadata["autoreset_mode"] if isinstance(batch, VectorEnv) else AutoresetMode.SAME_STEP
+    expected = reference(make_single, seeds, actions, mode)
+    assert any((step.terminated | step.truncated).any() for step in expected[1:]), "no episode ends: nothing to check"
+    for which, seeding, claim in (
+        (every, seed, "N environments differ from N single ones"),
+        (every, seed, "a second run with the same seed differs"),
+        ([0], seed, "the result depends on num_envs"),
+        (every[::-1], seeds[::-1], "the result depends on the order"),
+    ):
+        env = make(len(which))
+        if seeding == seed or isinstance(env, VectorEnv):  # which accepts one seed per environment
+            compare(run(env, seeding, actions[:, which]), [of(step, which) for step in expected], claim)
 
 
-def _reference(
-    make_single: MakeSingle, seeds: Sequence[int], actions: np.ndarray, mode: AutoresetMode
-) -> tuple[np.ndarray, list[VectorStep]]:
-    """Steps of single environments, with explicit autoreset."""
-    singles = [make_single() for _ in seeds]
+def reference(make_single, seeds, actions, mode):
+    """The first observation and the steps of single environments, with explicit autoreset."""
+    singles, nothing = [make_single() for _ in seeds], np.zeros(len(seeds))
     start = np.array([env.reset(seed=seed)[0] for env, seed in zip(singles, seeds, strict=True)])
-    ended = [False] * len(seeds)
-    outcomes = []
+    ended, found = [False] * len(seeds), [Step(start, nothing, nothing > 0.0, nothing > 0.0, {})]
     for row in actions:
         rows, final = [], {}
         for k, env in enumerate(singles):
             if ended[k]:
-                fresh = env.reset()[0]
-                ended[k] = False
+                fresh, ended[k] = env.reset()[0], False
                 if mode is AutoresetMode.NEXT_STEP:  # this step is the reset
                     rows.append((fresh, 0.0, False, False))
                     continue
             observation, reward, terminated, truncated, _ = env.step(row[k])
-            if terminated or truncated:
-                if mode is AutoresetMode.SAME_STEP:
-                    final[k] = observation
-                    observation = env.reset()[0]
-                else:
-                    ended[k] = True
+            if (terminated or truncated) and mode is AutoresetMode.SAME_STEP:
+                final[k], observation = observation, env.reset()[0]
+            else:
+                ended[k] = terminated or truncated
             rows.append((observation, float(reward), terminated, truncated))
-        columns = [np.array(column) for column in zip(*rows, strict=True)]
-        outcomes.append(VectorStep(columns[0], columns[1], columns[2], columns[3], final))
-    return start, outcomes
+        found.append(Step(*(np.array(column) for column in zip(*rows, strict=True)), final))
+    return found
 
 
-def _reset(env: Any, seed: Any) -> np.ndarray:
+def run(env, seed, actions):
+    """The first observation and the steps of a batch; its arrays must stay as they were returned."""
     if isinstance(env, VecEnv):
         env.seed(seed)
-        return np.asarray(env.reset())
-    return np.asarray(env.reset(seed=seed)[0])
+    start = env.reset() if isinstance(env, VecEnv) else env.reset(seed=seed)[0]
+    nothing = np.zeros(len(start))
+    returned = [Step(start, nothing, nothing > 0.0, nothing > 0.0, {})]
+    copies = copy.deepcopy(returned)
+    for action in actions:
+        ended = copies[-1].terminated | copies[-1].truncated
+        if isinstance(env, VectorEnv) and env.metadata["autoreset_mode"] is AutoresetMode.DISABLED and ended.any():
+            env.reset(options={"reset_mask": ended})
+        returned.append(step_of(env, action))
+        copies.append(copy.deepcopy(returned[-1]))
+    compare(returned, copies, "a returned array was modified later")
+    env.close()
+    return copies
 
 
-def _step(env: Any, action: np.ndarray) -> VectorStep:
+def step_of(env, action):
     if isinstance(env, VecEnv):
         observation, reward, done, infos = env.step(action)
-        truncated = np.array([bool(info.get("TimeLimit.truncated", False)) for info in infos])
+        truncated = np.array([info["TimeLimit.truncated"] for info in infos])
         final = {k: infos[k]["terminal_observation"] for k in np.flatnonzero(done).tolist()}
-        return VectorStep(np.asarray(observation), reward, done & ~truncated, truncated, final)
+        return Step(observation, reward, done & ~truncated, truncated, final)
     observation, reward, terminated, truncated, infos = env.step(action)
-    final = {}
-    if env.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP:
-        final = {k: np.asarray(infos["final_obs"][k]) for k in np.flatnonzero(terminated | truncated).tolist()}
-    return VectorStep(observation, reward, terminated, truncated, final)
+    reset = env.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
+    ended = np.flatnonzero(reset & (terminated | truncated)).tolist()
+    return Step(observation, reward, terminated, truncated, {k: infos["final_obs"][k] for k in ended})
 
 
-def _run(env: Any, seed: Any, actions: np.ndarray) -> tuple[np.ndarray, list[VectorStep]]:
-    start = _reset(env, seed).copy()
-    by_mask = not isinstance(env, VecEnv) and env.metadata["autoreset_mode"] is AutoresetMode.DISABLED
-    outcomes: list[VectorStep] = []
-    for action in actions:
-        if by_mask and outcomes and (ended := outcomes[-1].terminated | outcomes[-1].truncated).any():
-            env.reset(options={"reset_mask": ended})
-        outcomes.append(copy.deepcopy(_step(env, action)))
-    env.close()
-    return start, outcomes
+def of(step, order):
+    """The step of some of the environments."""
+    final = {index: step.final[k] for index, k in enumerate(order) if k in step.final}
+    return Step(*(array[order] for array in step[:4]), final)
 
 
-def _take(outcome: VectorStep, order: Sequence[int]) -> VectorStep:
-    rows, final = list(order), {index: outcome.final[k] for index, k in enumerate(order) if k in outcome.final}
-    return VectorStep(
-        outcome.observation[rows], outcome.reward[rows], outcome.terminated[rows], outcome.truncated[rows], final
-    )
-
-
-def _compare(
-    start: np.ndarray, outcomes: list[VectorStep], expected_start: np.ndarray, expected: list[VectorStep], claim: str
-) -> None:
-    assert np.array_equal(start, expected_start), f"{claim}: first observation"
-    for step, (a, b) in enumerate(zip(outcomes, expected, strict=True)):
-        for name in ("terminated", "truncated", "observation"):
-            assert np.array_equal(getattr(a, name), getattr(b, name)), f"{claim}: {name} of step {step}"
-        assert np.array_equal(a.reward.astype(np.float32), b.reward.astype(np.float32)), (
-            f"{claim}: reward of step {step}"
-        )
-        assert a.final.keys() == b.final.keys(), f"{claim}: environments with a final observation in step {step}"
+def compare(steps, expected, claim):
+    for number, (a, b) in enumerate(zip(steps, expected, strict=True)):
+        for name in ("terminated", "truncated", "observation", "reward"):
+            first, second = (np.asarray(getattr(step, name), dtype=np.float32) for step in (a, b))
+            text = f"{claim}: {name} of step {number}" if number else f"{claim}: first {name}"
+            assert np.array_equal(first, second), text
+        assert a.final.keys() == b.final.keys(), f"{claim}: environments with a final observation in step {number}"
         for k in a.final:
-            assert np.array_equal(a.final[k], b.final[k]), f"{claim}: final observation of {k} in step {step}"
+            assert np.array_equal(a.final[k], b.final[k]), f"{claim}: final observation of {k} in step {number}"
