@@ -5,8 +5,6 @@ K (d + delta v) is part of the kick of ``imex``; the damping force lags half a s
 
 from __future__ import annotations
 
-from numba import njit
-
 from probe_env.arrays import FloatArray
 from probe_env.physics.methods.factors import explicit_factors
 from probe_env.physics.methods.imex import (
@@ -46,14 +44,14 @@ from probe_env.physics.methods.lane_group import (
     X,
     Y,
 )  # fmt: skip
-from probe_env.physics.methods.lanes import any_less, load, splat, store, where_less
+from probe_env.physics.methods.lanes import any_less, kernel, load, splat, store, where_less
 from probe_env.physics.methods.stability import explicit_step
 from probe_env.physics.model.chain import Chain
 from probe_env.physics.model.drive import AIR, INPUTS, SLOPE, SPEED
 from probe_env.scene import Scene
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def explicit_advance(
     parameters, compressed, factors, state, inputs, tops, bottoms, dt, per_pitch, sampling, roots, failed
 ):

@@ -9,9 +9,9 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numba.extending import register_jitable
 
 from probe_env.arrays import FloatArray
+from probe_env.physics.methods.lanes import traced
 from probe_env.physics.model.chain import Chain, cable_of, element_blocks, element_stiffness, linear_part
 
 MOST_FACTORS = 4000
@@ -35,7 +35,7 @@ def node_matrices(chain: Chain) -> tuple[FloatArray, FloatArray, FloatArray, Flo
     return tip, inner, inverse @ head.T @ stiffness @ tail, inverse @ tail.T @ stiffness @ head
 
 
-@register_jitable(inline="always")  # type: ignore[untyped-decorator]
+@traced
 def linear_weights(damping_time: Any, time_step: float) -> tuple[Any, Any]:
     """Theta and tau of the linear part: w = d + tau v_theta, v_theta = (1 - theta) v* + theta v.
 

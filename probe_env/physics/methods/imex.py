@@ -69,13 +69,13 @@ from probe_env.physics.methods.lane_group import (
     X,
     Y,
 )
-from probe_env.physics.methods.lanes import any_less, load, splat, store, where_less
+from probe_env.physics.methods.lanes import any_less, kernel, load, part, splat, store, traced, where_less
 from probe_env.physics.methods.ticm import LEAVING
 from probe_env.physics.model.drive import AIR, APPEND, INPUTS, SLOPE, SPEED
 from probe_env.physics.model.state import DIVERGED_RADIAL
 
 
-@njit(nogil=True, error_model="numpy")
+@part
 def after_step(parameters, state, inputs, k, step, due, row, points, roots, samples, tension, failed):
     """Sampling, failure and growth after a step; returns True if no lane is running.
 
@@ -106,7 +106,7 @@ def after_step(parameters, state, inputs, k, step, due, row, points, roots, samp
     return running == 0
 
 
-@njit(nogil=True, error_model="numpy")
+@part
 def move_root(parameters, state, inputs, k, roots, lane):
     """``ticm.move_root`` for a lane."""
     q = roots[lane] * FIELDS
@@ -128,7 +128,7 @@ def move_root(parameters, state, inputs, k, roots, lane):
     parameters[ROOT, lane] = roots[lane]
 
 
-@njit(nogil=True, error_model="numpy", inline="always")
+@traced
 def product(factors, f, x, y, t):
     """(3, 3) matrix at ``f`` times (x, y, t)."""
     return (
@@ -138,7 +138,7 @@ def product(factors, f, x, y, t):
     )
 
 
-@njit(nogil=True, error_model="numpy", inline="always")
+@traced
 def less_product(a, b, c, factors, f, x, y, t):
     """(a, b, c) minus the (3, 3) matrix at ``f`` times (x, y, t)."""
     return (
@@ -148,14 +148,14 @@ def less_product(a, b, c, factors, f, x, y, t):
     )
 
 
-@njit(nogil=True, error_model="numpy", inline="always")
+@traced
 def solve_node(state, q, factors, f, wx, wy, wt):
     """Back substitution: w of a node from w of its neighbour on the root side."""
     gx, gy, gt = load(state, q + GX), load(state, q + GY), load(state, q + GT)
     return less_product(gx, gy, gt, factors, f, wx, wy, wt)
 
 
-@njit(nogil=True, error_model="numpy", inline="always")
+@traced
 def move_node(state, q, wx, wy, wt, drift, bounce, reflection):
     """Update the displacement of a node from w; returns its velocity."""
     ux, uy, ut = wx - load(state, q + X), wy - load(state, q + Y), wt - load(state, q + T)
@@ -171,14 +171,14 @@ def move_node(state, q, wx, wy, wt, drift, bounce, reflection):
     )
 
 
-@njit(nogil=True, error_model="numpy", inline="always")
+@traced
 def magnitude(value):
     """Absolute value."""
     zero = splat(value, 0.0)
     return where_less(value, zero, zero - value, value)
 
 
-@njit(nogil=True, error_model="numpy", inline="always")
+@traced
 def inertia_forces(kappa, couple, forward, vy, t, axial_force, dt):
     """Coriolis and centrifugal acceleration of (13) and the couple of (9) per inertia.
 
@@ -191,7 +191,7 @@ def inertia_forces(kappa, couple, forward, vy, t, axial_force, dt):
     return -2.0 * kappa * forward * vy, kappa * forward * forward, zero - spring * t / stiff
 
 
-@njit(nogil=True, error_model="numpy", inline="always")
+@traced
 def load_compressed(parameters):
     """Parameters of the couple and of the cable for ``compressed_forces`` and ``cable_forces``."""
     limits = load(parameters, PRESSURE), load(parameters, TENSION)
@@ -200,7 +200,7 @@ def load_compressed(parameters):
     return couple, (radius, stiffness, load(parameters, FRICTION) * stiffness, radius * load(parameters, MASS_RATIO))
 
 
-@njit(nogil=True, error_model="numpy", inline="always")
+@traced
 def compressed_forces(kappa, coupling, forward, vy, x, t, axial_force, dt):
     """``inertia_forces`` for a cable under compression.
 
@@ -218,13 +218,13 @@ def compressed_forces(kappa, coupling, forward, vy, x, t, axial_force, dt):
     return work * moment - 2.0 * kappa * forward * vy, kappa * forward * forward, moment
 
 
-@njit(nogil=True, error_model="numpy", inline="always")
+@traced
 def load_wall(parameters):
     """Contact stiffness, coefficient of friction and mass per inertia of the lanes."""
     return load(parameters, STIFFNESS), load(parameters, FRICTION), load(parameters, MASS_RATIO)
 
 
-@njit(nogil=True, error_model="numpy", inline="always")
+@traced
 def load_floats(parameters):
     """Node of the sensor, and lever, gap and drag of the floats of guide and carrier."""
     return (
@@ -238,11 +238,11 @@ def load_floats(parameters):
     )
 
 
-@njit(nogil=True, error_model="numpy", inline="always")
+@traced
 def float_at(i, floats):
     """Lever, gap and drag of the float at node ``i``: the guide's up to the sensor, the carrier's beyond."""
     sensor, guide_lever, carrier_lever, guide_gap, carrier_gap, guide_drag, carrier_drag = floats
-    index = splat(sensor, float(i) - 0.5)
+    index = splat(sensor, i - 0.5)
     return (
         where_less(index, sensor, guide_lever, carrier_lever),
         where_less(index, sensor, guide_gap, carrier_gap),
@@ -250,7 +250,7 @@ def float_at(i, floats):
     )
 
 
-@njit(nogil=True, error_model="numpy", inline="always")
+@traced
 def float_forces(float_, wall, forward, air, y, slide, turn):
     """Drag, contact and friction of a float, (10)-(12) with both walls: x and y per mass, moment per inertia."""
     lever, gap, drag = float_
@@ -266,7 +266,7 @@ def float_forces(float_, wall, forward, air, y, slide, turn):
     return drag * relative * magnitude(relative) - friction, stiffness * (inner - outer), friction * lever * ratio
 
 
-@njit(nogil=True, error_model="numpy", inline="always")
+@traced
 def cable_walls(float_, cable):
     """Radial displacements below and above which the cable between floats, thinner than a float, touches a wall."""
     lever, gap, _ = float_
@@ -274,7 +274,7 @@ def cable_walls(float_, cable):
     return splat(clearance, 0.0) - clearance, gap + clearance
 
 
-@njit(nogil=True, error_model="numpy", inline="always")
+@traced
 def nearest_walls(floats, cable):
     """``cable_walls`` of the guide or the carrier, whichever is nearer."""
     _, guide_lever, carrier_lever, guide_gap, carrier_gap, _, _ = floats
@@ -283,13 +283,13 @@ def nearest_walls(floats, cable):
     return where_less(low, carrier_low, carrier_low, low), where_less(high, carrier_high, high, carrier_high)
 
 
-@njit(nogil=True, error_model="numpy", inline="always")
+@traced
 def extended_range(least, most, y):
     """A range extended to include y."""
     return where_less(y, least, y, least), where_less(most, y, y, most)
 
 
-@njit(nogil=True, error_model="numpy", inline="always")
+@traced
 def cable_forces(walls, cable, y, slide, turn):
     """Contact and friction of the cable between floats; see ``cable_walls``."""
     low, high = walls
@@ -303,7 +303,7 @@ def cable_forces(walls, cable, y, slide, turn):
     return zero - friction, stiffness * (inner - outer), side * friction * twist
 
 
-@njit(nogil=True, error_model="numpy", inline="always")
+@njit(nogil=True, error_model="numpy", forceinline=True)
 def to_root(state, factors, nodes, drive, rates, model, coupling, compressed):
     """Kick and elimination of all nodes, including the root; returns the largest |y| of the floats.
 
@@ -356,7 +356,7 @@ def to_root(state, factors, nodes, drive, rates, model, coupling, compressed):
     return peak
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def imex_advance(parameters, compressed, factors, state, inputs, tops, bottoms, dt, per_pitch, sampling, roots, failed):
     """Advance all lanes; returns the number of steps.
 

@@ -18,6 +18,7 @@ from probe_env.physics.methods.lane_group import (
     CARRIER_DRAG,
     CARRIER_GAP,
     CARRIER_LEVER,
+    DAMPING,
     GUIDE_DRAG,
     GUIDE_GAP,
     GUIDE_LEVER,
@@ -43,7 +44,6 @@ from probe_env.physics.methods.superelement.kernel import (
     T,
     V,
     X,
-    assign_roots,
     displacements,
     superelement_advance,
 )
@@ -118,14 +118,18 @@ def unpack(rows: FloatArray, state: State, root: int, per_pitch: int, table: Tab
         memory[:, column : column + 2] = rows[:count, at : at + 2]
 
 
-def root_tables(group: Sequence[Tables], width: int, even: int, odd: int, rows: int) -> RootTables:
-    """Tables of a group of probes, padded to equal numbers of modes and rows of factors."""
+def root_tables(
+    group: Sequence[Tables], damping_time: FloatArray, time_step: float, even: int, odd: int, rows: int
+) -> RootTables:
+    """Tables of a group of probes, padded to equal numbers of modes and rows of factors; ``damping_time`` (lanes,)."""
+    width = len(damping_time)
     modes, per_pitch = even + odd, len(group[0].root_factors)
     size = ENDS + 2 * modes
     stacked = RootTables(
         np.zeros((width, per_pitch + 1, CONSTANTS)), np.zeros((width, rows, FACTORS)),
         np.zeros((width, per_pitch, rows, FACTORS)), np.zeros((width, per_pitch, size, size)),
-        np.zeros((width, per_pitch, per_pitch, 3, ENDS + modes)), np.zeros(size), np.zeros(size),
+        np.zeros((width, per_pitch, per_pitch, 3, ENDS + modes)),
+        linear_weights(damping_time.astype(float), time_step)[1], np.zeros(size), np.zeros(size),
     )  # fmt: skip
     for k, table in enumerate(group):
         stacked.pieces[k] = table.pieces
@@ -291,12 +295,16 @@ class Superelement(LaneMethod):
             values, table, drag = lane.constants
             drags[:, k] = floats_of(values, drag, table, rows)[:, DRAG]
         options = weighed(lanes[0]), (0,) * varied
-        stacked = root_tables(members, width, even, odd, last + 1)
-        constants, factors, at = _placed(stacked, roots, rows, precision)
+        stacked = root_tables(members, group.parameters[DAMPING], time_step, even, odd, last + 1)
+        constants = np.zeros(((1 + width) * CONSTANTS, width), dtype=precision)
+        factors = np.zeros(((last + 1 + width) * FACTORS, width), dtype=precision)
+        constants[:CONSTANTS] = stacked.pieces[:, -1].T
+        factors[: (last + 1) * FACTORS] = stacked.factors.reshape(width, -1).T
         samples, tension = group.scratch(lanes, rows)
         begin = time.perf_counter()
         self.kernel(
-            group.parameters, constants, factors, at, last, ((0,) * even, (0,) * odd), options, drags,
+            group.parameters, constants, factors, np.zeros(rows, dtype=np.int64), last, ((0,) * even, (0,) * odd),
+            options, drags,
             state.reshape(-1, width), group.inputs.reshape(-1, width), last_float[:-1].max(axis=1),
             last_float[:-1].min(axis=1), time_step, stacked,
             (first_sample, sample_every, group.points, samples, tension), roots, group.failed,
@@ -305,7 +313,7 @@ class Superelement(LaneMethod):
         group.unpack(lanes, samples)
         for k, (lane, table) in enumerate(zip(lanes, members, strict=True)):
             unpack(state[:, :, k], lane.state, lane.root, per_pitch, table, even)
-            displacements(stacked, state.reshape(-1, width), fields, lane.root, k, lane.state.d)
+            displacements(stacked, state.reshape(-1, width), fields, 1, lane.root, k, lane.state.d)
             add_tension(lane, tension[:, k], per_pitch)
         return seconds
 
@@ -320,28 +328,28 @@ class Superelement(LaneMethod):
         pack(rows, lane.state, lane.root, per_pitch, table, even)
         state = in_blocks(rows, width, precision)
         parameters = np.repeat(values[:, None], width, axis=1).astype(precision)
-        stacked = root_tables([table], 1, even, odd, len(table.factors))
+        stacked = root_tables([table], parameters[DAMPING, :1], time_step, even, odd, len(table.factors))
         constants = np.zeros((2 * CONSTANTS, width), dtype=precision)
         constants[:CONSTANTS] = stacked.pieces[0, -1][:, None]
         settled = (len(table.factors) - 1) // width + 1  # first block whose floats share their factors
         row = np.minimum(np.arange((settled + 1) * width), len(table.factors) - 1)
         factors = np.zeros(((settled + 2) * E_SIZE, width), dtype=precision)
         factors[: (settled + 1) * E_SIZE] = in_blocks(table.factors[row, :E_SIZE], width, precision)
-        links = np.zeros((len(table.factors) + 1, LINKS), dtype=precision)
-        links[:-1] = table.factors[:, E_SIZE:]
-        tension = np.zeros(len(rows) if len(lane.tension_sum) else 0)
+        links = np.zeros((2, len(table.factors) + 1, LINKS // 2), dtype=precision)
+        links[0, :-1], links[1, :-1] = np.hsplit(table.factors[:, E_SIZE:], 2)
+        tension = np.zeros((len(rows) if len(lane.tension_sum) else 0, 1))
         floats = in_blocks(floats_of(values, drag, table, len(rows)), width, precision)
         begin = time.perf_counter()
         lane.failed, lane.root = self.single(
             parameters, constants, factors, links, floats, ((0,) * even, (0,) * odd), weighed(lane), state,
-            lane.inputs.astype(precision), lane.root, time_step, stacked, np.zeros((2 * fields, 1), dtype=precision),
-            (first_sample, sample_every, lane.points, lane.samples, tension),
+            lane.inputs.astype(precision), lane.root, time_step, stacked,
+            (first_sample, sample_every, lane.points[:, None], lane.samples[..., None], tension),
         )  # fmt: skip
         seconds = time.perf_counter() - begin
         after = state.reshape(blocks, fields, width).transpose(0, 2, 1).reshape(-1, fields)
         unpack(after, lane.state, lane.root, per_pitch, table, even)
-        displacements(stacked, after.reshape(-1, 1), fields, lane.root, 0, lane.state.d)
-        add_tension(lane, tension, per_pitch)
+        displacements(stacked, state, fields, width, lane.root, 0, lane.state.d)
+        add_tension(lane, tension[:, 0], per_pitch)
         return seconds
 
 
@@ -363,17 +371,3 @@ def add_tension(lane: Lane, tension: FloatArray, per_pitch: int) -> None:
     """Add the axial forces of pieces to the sums at the nodes of a probe."""
     covered = min(len(tension) * per_pitch, lane.root, len(lane.tension_sum))
     lane.tension_sum[:covered] += np.repeat(tension, per_pitch)[:covered]
-
-
-def _placed(
-    stacked: RootTables, roots: npt.NDArray[np.int64], rows: int, precision: npt.DTypeLike
-) -> tuple[FloatArray, FloatArray, npt.NDArray[np.int64]]:
-    """Constants, factors and the block of each row, see ``superelement_advance``."""
-    width, last = len(roots), stacked.factors.shape[1] - 1
-    constants = np.zeros(((1 + width) * CONSTANTS, width), dtype=precision)
-    factors = np.zeros(((last + 1 + width) * FACTORS, width), dtype=precision)
-    constants[:CONSTANTS] = stacked.pieces[:, -1].T
-    factors[: (last + 1) * FACTORS] = stacked.factors.reshape(width, -1).T
-    at = np.zeros(rows, dtype=np.int64)
-    assign_roots(stacked, constants, factors, at, last, roots)
-    return constants, factors, at

@@ -19,14 +19,11 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numpy as np
-from numba import njit
-
 from probe_env.arrays import FloatArray
 from probe_env.physics.methods.factors import linear_weights
 from probe_env.physics.methods.imex import float_at, float_forces, less_product, load_floats, load_wall, magnitude
 from probe_env.physics.methods.lane_group import CURVATURE, DAMPING, PEAK, ROOT, TENSION, WEIGHT
-from probe_env.physics.methods.lanes import load, splat, square_root, store, where_less
+from probe_env.physics.methods.lanes import kernel, load, part, splat, square_root, store, traced, where_less
 from probe_env.physics.methods.superelement.tables import (
     AXIAL,
     AXIAL_EVEN,
@@ -64,6 +61,7 @@ class RootTables(NamedTuple):
         root_factors: (lanes, n, k, 27).
         growth: (lanes, n, 6 + 2 m, 6 + 2 m).
         shape: (lanes, n, n, 3, 6 + m).
+        lag: (lanes,) tau of ``linear_weights``.
         old, change: (6 + 2 m,).
     """
 
@@ -72,11 +70,12 @@ class RootTables(NamedTuple):
     root_factors: FloatArray
     growth: FloatArray
     shape: FloatArray
+    lag: FloatArray
     old: FloatArray
     change: FloatArray
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@part
 def assign_roots(tables, constants, factors, at, last, roots):
     """Set constants and factors of rows with a root: those of the root piece in its lane, of a pitch in other lanes."""
     per_pitch, lanes = tables.pieces.shape[1] - 1, tables.pieces.shape[0]
@@ -97,80 +96,92 @@ def assign_roots(tables, constants, factors, at, last, roots):
                 factors[(last + 1 + k) * FACTORS + f, lane] = value
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def grow(tables, state, fields, root, lane, tau):
-    """Append a node at the root of a lane: transfer the state of its last piece to a longer one.
+@part
+def grow(tables, state, fields, wide, root, lane):
+    """Append a node at the root of a probe: transfer the state of its last piece to a longer one.
 
-    If the pitch is complete, its end becomes a free float at rest, and the next piece is at rest.
+    If the pitch is complete, its end becomes a free float at rest, and the next piece is at rest. Float i of the probe
+    is in block i // wide of the state, lane ``lane`` + i % wide.
     """
     per_pitch, modes = tables.pieces.shape[1] - 1, (fields - MODES) // 2
     i = (root - 1) // per_pitch
-    q, length = i * fields, root - i * per_pitch
+    q, k, length = i // wide * fields, lane + i % wide, root - i * per_pitch
     old, change, matrix = tables.old, tables.change, tables.growth[lane, length - 1]
     for c in range(3):
-        old[c], old[3 + c] = state[q + X + c, lane], state[q + VX + c, lane]
+        old[c], old[3 + c] = state[q + X + c, k], state[q + VX + c, k]
     for j in range(modes):
-        old[6 + j], old[6 + modes + j] = state[q + MODES + 2 * j, lane], state[q + MODES + 2 * j + 1, lane]
+        old[6 + j], old[6 + modes + j] = state[q + MODES + 2 * j, k], state[q + MODES + 2 * j + 1, k]
     for r in range(len(change)):
         change[r] = 0.0
         for c in range(len(old)):
             change[r] += matrix[r, c] * old[c]
     if length == per_pitch:
-        q += fields
+        axial = state[q + V, k]
+        q, k = (i + 1) // wide * fields, lane + (i + 1) % wide
         for c in range(3):
-            state[q + X + c, lane], state[q + VX + c, lane], state[q + PX + c, lane] = 0.0, 0.0, 0.0
-        state[q + V, lane] = state[q - fields + V, lane]
+            state[q + X + c, k], state[q + VX + c, k], state[q + PX + c, k] = 0.0, 0.0, 0.0
+        state[q + V, k] = axial
     for c in range(3):
-        state[q + PX + c, lane] += change[3 + c] + tau * change[c]
+        state[q + PX + c, k] += change[3 + c] + tables.lag[lane] * change[c]
     for j in range(modes):
-        state[q + MODES + 2 * j, lane], state[q + MODES + 2 * j + 1, lane] = change[6 + j], change[6 + modes + j]
+        state[q + MODES + 2 * j, k], state[q + MODES + 2 * j + 1, k] = change[6 + j], change[6 + modes + j]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def displacement(tables, state, fields, root, lane, node, component):
-    """X, y or theta at a node between two floats."""
+@part
+def displacement(tables, state, fields, wide, root, lane, node, component):
+    """X, y or theta at a node; floats as in ``grow``."""
+    if node >= root:
+        return 0.0
     per_pitch, modes = tables.pieces.shape[1] - 1, (fields - MODES) // 2
     i = node // per_pitch
-    q = i * fields
-    kind = min(root - i * per_pitch, per_pitch) - 1
-    row = tables.shape[lane, kind, node - i * per_pitch, component]
+    q, k = i // wide * fields, lane + i % wide
+    if node == i * per_pitch:
+        return float(state[q + X + component, k])
+    ahead, k_ahead = (i + 1) // wide * fields, lane + (i + 1) % wide
+    row = tables.shape[lane, min(root - i * per_pitch, per_pitch) - 1, node - i * per_pitch, component]
     value = 0.0
     for c in range(3):
-        value += row[c] * state[q + X + c, lane] + row[3 + c] * state[q + fields + X + c, lane]
+        value += row[c] * state[q + X + c, k] + row[3 + c] * state[ahead + X + c, k_ahead]
     for j in range(modes):
-        value += row[6 + j] * state[q + MODES + 2 * j, lane]
+        value += row[6 + j] * state[q + MODES + 2 * j, k]
     return value
 
 
-@njit(nogil=True, error_model="numpy")
-def node_displacement(tables, state, fields, root, lane, i, node, component):
-    """X, y or theta at a node of float i or of the piece behind it."""
-    if node >= root:
-        return 0.0
-    if node == i * (tables.pieces.shape[1] - 1):
-        return float(state[i * fields + X + component, lane])
-    return displacement(tables, state, fields, root, lane, node, component)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def displacements(tables, state, fields, root, lane, d):
-    """Displacements at all nodes between floats of a lane."""
-    per_pitch = tables.pieces.shape[1] - 1
+@kernel
+def displacements(tables, state, fields, wide, root, lane, d):
+    """Displacements at all nodes of a probe; floats as in ``grow``."""
     for node in range(root):
-        if node % per_pitch:
-            for c in range(3):
-                d[node, c] = displacement(tables, state, fields, root, lane, node, c)
+        for c in range(3):
+            d[node, c] = displacement(tables, state, fields, wide, root, lane, node, c)
 
 
-@njit(nogil=True, error_model="numpy")
-def after_step(
-    parameters, constants, factors, at, last, fields, state, inputs, k, step, due, row, tau, tables,
-    points, roots, samples, tension, failed,
-):  # fmt: skip
-    """Sampling, failure and growth after a step; True if no lane is running. Arguments as in ``imex.after_step``.
+@part
+def sample(tables, state, fields, wide, root, lane, step, sampling):
+    """Store the samples of a probe if they are due; ``sampling`` as in ``imex_advance``, floats as in ``grow``.
 
     The axial forces of the pieces are added to ``tension`` (rows, lanes), unless it is empty.
     """
+    first, every, points, samples, tension = sampling
+    row = (step + 1 - first) // every
+    if row < 0 or step + 1 - first != row * every:
+        return
+    per_pitch = tables.pieces.shape[1] - 1
+    outermost = (root - 1) // per_pitch
+    for p in range(len(points)):
+        node = points[p, lane] if points[p, lane] >= 0 else root
+        for c in range(3):
+            samples[row, p, c, lane] = displacement(tables, state, fields, wide, root, lane, node, c)
+        i = min(node // per_pitch, outermost)
+        samples[row, p, 3, lane] = state[i // wide * fields + V, lane + i % wide]
+    for i in range(min(len(tension), outermost + 1)):
+        tension[i, lane] += state[i // wide * fields + V, lane + i % wide]
+
+
+@part
+def after_step(
+    parameters, constants, factors, at, last, fields, state, inputs, step, tables, sampling, roots, failed
+):  # fmt: skip
+    """Sampling, failure and growth after a step; True if no lane is running."""
     per_pitch = tables.pieces.shape[1] - 1
     running, moved = 0, False
     for lane in range(len(failed)):
@@ -180,40 +191,30 @@ def after_step(
             failed[lane] = step + 1
             continue
         running += 1
-        root = roots[lane]
-        outermost = (root - 1) // per_pitch
-        if due == 0:
-            for p in range(len(points)):
-                node = points[p, lane] if points[p, lane] >= 0 else root
-                i = min(node // per_pitch, outermost)
-                for c in range(3):
-                    samples[row, p, c, lane] = node_displacement(tables, state, fields, root, lane, i, node, c)
-                samples[row, p, 3, lane] = state[i * fields + V, lane]
-            for i in range(min(len(tension), outermost + 1)):
-                tension[i, lane] += state[i * fields + V, lane]
-        if inputs[k + APPEND, lane] > 0.0:
-            grow(tables, state, fields, root, lane, tau[lane])
+        sample(tables, state, fields, 1, roots[lane], lane, step, sampling)
+        if inputs[step * INPUTS + APPEND, lane] > 0.0:
+            grow(tables, state, fields, 1, roots[lane], lane)
             roots[lane] += 1
-            parameters[ROOT, lane] = (root // per_pitch) + 1
+            parameters[ROOT, lane] = ((roots[lane] - 1) // per_pitch) + 1
             moved = True
     if moved:
         assign_roots(tables, constants, factors, at, last, roots)
     return running == 0
 
 
-@njit(nogil=True, error_model="numpy", inline="always")
+@traced
 def even_odd(lx, ly, lt, rx, ry, rt):
     """Even and odd unknowns of two ends."""
     return lx - rx, ly + ry, lt - rt, lx + rx, ly - ry, lt + rt
 
 
-@njit(nogil=True, error_model="numpy", inline="always")
+@traced
 def ends_of(ex, ey, et, ox, oy, ot):
     """Forces at the L end and the R end from an even and an odd force."""
     return ex + ox, ey + oy, et + ot, ox - ex, ey - oy, ot - et
 
 
-@njit(nogil=True, error_model="numpy", inline="always")
+@traced
 def push_modes(constants, c, count, state, q, ax, ay, at, push):
     """Kick the modes of one parity by the couple; returns its force on the ends, and the terms of elimination there.
 
@@ -238,7 +239,7 @@ def push_modes(constants, c, count, state, q, ax, ay, at, push):
     return hx, hy, ht, sx, sy, st
 
 
-@njit(nogil=True, error_model="numpy", inline="always")
+@traced
 def move_modes(constants, c, count, state, q, ux, uy, ut, dt, tau):
     """Update q and p of the modes of one parity from the velocities of the ends; returns their axial force."""
     force = splat(ux, 0.0)
@@ -256,7 +257,7 @@ def move_modes(constants, c, count, state, q, ux, uy, ut, dt, tau):
     return force
 
 
-@njit(nogil=True, error_model="numpy", inline="always")
+@traced
 def symmetric(constants, c, x, y, t):
     """Symmetric (3, 3) matrix at ``c`` times (x, y, t)."""
     xy, xt, yt = load(constants, c + 1), load(constants, c + 2), load(constants, c + 5)
@@ -267,13 +268,13 @@ def symmetric(constants, c, x, y, t):
     )
 
 
-@njit(nogil=True, error_model="numpy", inline="always")
+@traced
 def dot(constants, c, x, y, t):
     """Three constants times (x, y, t)."""
     return load(constants, c) * x + load(constants, c + 1) * y + load(constants, c + 2) * t
 
 
-@njit(nogil=True, error_model="numpy", inline="always")
+@traced
 def weight_friction(float_, wall, weight, forward, y):
     """Friction of a float beyond mu N, along the tube: mu (sqrt(N^2 + w^2) - N).
 
@@ -288,7 +289,7 @@ def weight_friction(float_, wall, weight, forward, y):
     return where_less(forward, zero, zero - more, more)
 
 
-@njit(nogil=True, error_model="numpy", inline="always")
+@traced
 def float_kick(constants, c, state, q, float_, wall, weighed, weight, curvature, behind, speed, slope, air, y):
     """Contact, friction, drag and inertia of a float with half the cable on either side: x, y, moment.
 
@@ -306,7 +307,7 @@ def float_kick(constants, c, state, q, float_, wall, weighed, weight, curvature,
     return cx, cy + turn * forward, ct
 
 
-@njit(nogil=True, error_model="numpy", inline="always")
+@traced
 def piece_forces(constants, c, evens, odds, state, q, here, ahead, limit, dt):
     """Couple, modes and K d of a piece between two floats with given displacements.
 
@@ -338,7 +339,7 @@ def piece_forces(constants, c, evens, odds, state, q, here, ahead, limit, dt):
     return (push, gx, gy, gt, jx, jy, jt, ex, ey, et), (dx, dy, dd, ox, oy, ot, push * mx, push * my, push * mt)
 
 
-@njit(nogil=True, error_model="numpy", inline="always")
+@traced
 def momentum_kick(state, q, kick, piece, behind, dt, before, now, weight):
     """Update the momentum of a float from its kick and the pieces on both sides; returns the right-hand side."""
     cx, cy, ct = kick
@@ -354,7 +355,7 @@ def momentum_kick(state, q, kick, piece, behind, dt, before, now, weight):
     return px - weight * ex + (jx + sx), py - weight * ey + (jy + sy), pt - weight * et + (jt + st)
 
 
-@njit(nogil=True, error_model="numpy", inline="always")
+@traced
 def middle_of(state, q, velocity, tau):
     """D_before + tau v_m of a float."""
     ux, uy, ut = velocity
@@ -362,7 +363,7 @@ def middle_of(state, q, velocity, tau):
     return x + tau * ux, y + tau * uy, t + tau * ut
 
 
-@njit(nogil=True, error_model="numpy", inline="always")
+@traced
 def axial_force(constants, c, evens, odds, state, q, velocity, velocity_ahead, middle, middle_ahead, dt, tau):
     """Axial force of a piece from v_m and d_before + tau v_m of its two floats; updates its modes.
 
@@ -379,14 +380,14 @@ def axial_force(constants, c, evens, odds, state, q, velocity, velocity_ahead, m
     return axial, move_modes(constants, c + ODD, odd, state, q + MODES + 2 * even, bx, by, bt, dt, tau)
 
 
-@njit(nogil=True, error_model="numpy", inline="always")
+@traced
 def root_force(constants, c, middle, middle_ahead):
     """Contribution of the odd unknowns of the ends to the axial force of the piece at the root."""
     (nx, ny, nt), (zx, zy, zt) = middle, middle_ahead
     return dot(constants, c + AXIAL_ODD, nx + zx, ny - zy, nt + zt)
 
 
-@njit(nogil=True, error_model="numpy", inline="always")
+@traced
 def move_float(state, q, velocity, dt):
     """Update the displacement of a float; its mean velocity is stored for the direction of friction."""
     ux, uy, ut = velocity
@@ -398,7 +399,7 @@ def move_float(state, q, velocity, dt):
     store(state, q + VT, ut)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def superelement_advance(
     parameters, constants, factors, at, last, modes, options, drags, state, inputs, tops, bottoms, dt, tables, sampling,
     roots, failed,
@@ -412,11 +413,8 @@ def superelement_advance(
     friction, and whether float i has the drag ``drags[i]`` (rows, lanes) instead of that of guide or carrier. ``tops``
     and ``bottoms`` (steps,) are the last floats of the longest and of the shortest probe.
     """
-    first, every, points, samples, tension = sampling
+    assign_roots(tables, constants, factors, at, last, roots)
     zero = splat(parameters, 0.0)
-    lag = np.empty(len(failed))
-    for lane in range(len(failed)):
-        lag[lane] = linear_weights(float(parameters[DAMPING, lane]), dt)[1]
     evens, odds = modes
     weighed, varied = options
     even, odd = len(evens), len(odds)
@@ -427,7 +425,6 @@ def superelement_advance(
     float_weight = load(parameters, WEIGHT)
     floats, wall = load_floats(parameters), load_wall(parameters)
     pitch_half = load(constants, HALF_MASS)
-    row, due = 0, first
     for step in range(len(tops)):
         k = step * INPUTS
         speed, slope, air = load(inputs, k + SPEED), load(inputs, k + SLOPE), load(inputs, k + AIR)
@@ -483,13 +480,8 @@ def superelement_advance(
             store(state, q + V, axial)
             move_float(state, q, moved, dt)
             velocity, middle = moved, half_way
-        due -= 1
         if after_step(
-            parameters, constants, factors, at, last, fields, state, inputs, k, step, due, row, lag, tables,
-            points, roots, samples, tension, failed,
+            parameters, constants, factors, at, last, fields, state, inputs, step, tables, sampling, roots, failed
         ):  # fmt: skip
             return step + 1
-        if due == 0:
-            due = every
-            row += 1
     return len(tops)

@@ -14,7 +14,17 @@ from numba import njit
 from probe_env.physics.methods.factors import linear_weights
 from probe_env.physics.methods.imex import load_wall, magnitude
 from probe_env.physics.methods.lane_group import CURVATURE, DAMPING, PEAK, TENSION, WEIGHT
-from probe_env.physics.methods.lanes import from_ahead, from_behind, load, splat, store, where_less
+from probe_env.physics.methods.lanes import (
+    from_ahead,
+    from_behind,
+    kernel,
+    load,
+    part,
+    splat,
+    store,
+    traced,
+    where_less,
+)
 from probe_env.physics.methods.superelement.kernel import (
     MODES,
     VT,
@@ -29,9 +39,9 @@ from probe_env.physics.methods.superelement.kernel import (
     middle_of,
     momentum_kick,
     move_float,
-    node_displacement,
     piece_forces,
     root_force,
+    sample,
     symmetric,
 )
 from probe_env.physics.methods.superelement.tables import CONSTANTS
@@ -43,7 +53,7 @@ E_SIZE = 9
 LINKS = 18
 
 
-@njit(nogil=True, error_model="numpy")
+@part
 def assign_root(tables, constants, factors, links, root):
     """Set constants and factors of the block of the root; the last float has those of a shorter piece."""
     per_pitch, lanes = tables.pieces.shape[1] - 1, constants.shape[1]
@@ -58,39 +68,9 @@ def assign_root(tables, constants, factors, links, root):
             value = tables.root_factors[0, kind, row, k] if i == top else tables.factors[0, row, k]
             factors[f + k, lane] = value
     for k in range(LINKS):
-        links[len(links) - 1, k] = tables.root_factors[0, root - top * per_pitch - 1, min(top, settled), E_SIZE + k]
-
-
-@njit(nogil=True, error_model="numpy")
-def copy_out(state, fields, i, near):
-    """Copy float i and the one on its root side to ``near``."""
-    lanes = state.shape[1]
-    for k in range(2):
-        for field in range(fields):
-            near[k * fields + field, 0] = state[(i + k) // lanes * fields + field, (i + k) % lanes]
-
-
-@njit(nogil=True, error_model="numpy")
-def copy_back(state, fields, i, near):
-    """Inverse of ``copy_out``."""
-    lanes = state.shape[1]
-    for k in range(2):
-        for field in range(fields):
-            state[(i + k) // lanes * fields + field, (i + k) % lanes] = near[k * fields + field, 0]
-
-
-@njit(nogil=True, error_model="numpy")
-def sample(tables, state, fields, root, near, points, samples):
-    """Store x, y, theta and the axial force at nodes; see ``kernel.after_step``."""
-    per_pitch = tables.pieces.shape[1] - 1
-    for p in range(len(points)):
-        node = points[p] if points[p] >= 0 else root
-        i = min(node // per_pitch, (root - 1) // per_pitch)
-        copy_out(state, fields, i, near)
-        first = i * per_pitch
-        for c in range(3):
-            samples[p, c] = node_displacement(tables, near, fields, root - first, 0, 0, node - first, c)
-        samples[p, 3] = near[V, 0]
+        links[k // 9, links.shape[1] - 1, k % 9] = tables.root_factors[
+            0, root - top * per_pitch - 1, min(top, settled), E_SIZE + k
+        ]
 
 
 LEVER, GAP, DRAG, BEHIND = range(4)
@@ -98,13 +78,13 @@ FLOATS = 4
 """Parameters of a float: lever, gap, drag, and half the mass of the piece behind it."""
 
 
-@njit(nogil=True, error_model="numpy", inline="always")
+@traced
 def three(state, q):
     """Three consecutive fields."""
     return load(state, q), load(state, q + 1), load(state, q + 2)
 
 
-@njit(nogil=True, error_model="numpy", inline="always")
+@traced
 def all_from_behind(a, b):
     """``from_behind`` of the nine values that a piece passes to the float ahead."""
     return (
@@ -114,25 +94,25 @@ def all_from_behind(a, b):
     )  # fmt: skip
 
 
-@njit(nogil=True, error_model="numpy", inline="always")
+@traced
 def all_from_ahead(a, b):
     """``from_ahead`` of x, y and theta."""
     return from_ahead(a[0], b[0]), from_ahead(a[1], b[1]), from_ahead(a[2], b[2])
 
 
-@njit(nogil=True, error_model="numpy", fastmath={"contract"})
-def link(a, b, c, links, row, f, x, y, t):
+@njit(nogil=True, error_model="numpy", fastmath={"contract"}, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+def link(a, b, c, links, row, x, y, t):
     """``less_product`` of one float."""
     return (
-        ((a - links[row, f + 2] * t) - links[row, f + 1] * y) - links[row, f] * x,
-        ((b - links[row, f + 5] * t) - links[row, f + 4] * y) - links[row, f + 3] * x,
-        ((c - links[row, f + 8] * t) - links[row, f + 7] * y) - links[row, f + 6] * x,
+        ((a - links[row, 2] * t) - links[row, 1] * y) - links[row, 0] * x,
+        ((b - links[row, 5] * t) - links[row, 4] * y) - links[row, 3] * x,
+        ((c - links[row, 8] * t) - links[row, 7] * y) - links[row, 6] * x,
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def superelement_advance_single(
-    parameters, constants, factors, links, floats, modes, weighed, state, inputs, root, dt, tables, near, sampling
+    parameters, constants, factors, links, floats, modes, weighed, state, inputs, root, dt, tables, sampling
 ):
     """Advance one probe that is held at ``root``; see ``kernel.superelement_advance``.
 
@@ -140,7 +120,7 @@ def superelement_advance_single(
         parameters: (25, lanes) of the probe, equal in all lanes.
         constants: (2 CONSTANTS, lanes) of a pitch, and of the block with the root.
         factors: ((blocks + 1) E_SIZE, lanes) E of the floats; further floats use the last block but one; last: root.
-        links: (k + 1, LINKS) F and U of the floats; further floats use the last row but one; last: root.
+        links: (2, k + 1, 9) F and U of the floats; further floats use the last row but one; last: root.
         floats: (blocks FLOATS, lanes).
         modes: two tuples with the lengths of the numbers of even and odd modes.
         weighed: a tuple, empty if weight is neglected.
@@ -149,17 +129,14 @@ def superelement_advance_single(
         root: node that is held.
         dt: [s].
         tables: of the probe alone.
-        near: (2 fields, 1) scratch: two floats and their pieces.
-        sampling: steps until the first sample and between samples; points (p,), -1 for the root; samples (k, p, 4);
-            tension (rows,), sum of the axial forces of the pieces, or empty.
+        sampling: as in ``kernel.sample``, of one lane.
 
     Returns:
         step at which the probe diverged, counted from 1, or 0; held node.
     """
-    first, every, points, samples, tension = sampling
     zero = splat(parameters, 0.0)
-    rest = links[0, 0] - links[0, 0]
-    lag = linear_weights(float(parameters[DAMPING, 0]), dt)[1]
+    to_root, to_tip = links[0], links[1]
+    rest = to_root[0, 0] - to_root[0, 0]
     evens, odds = modes
     lanes, fields = state.shape[1], MODES + 2 * (len(evens) + len(odds))
     beyond, per_pitch = len(factors) // E_SIZE - 2, tables.pieces.shape[1] - 1
@@ -168,7 +145,7 @@ def superelement_advance_single(
     curvature, limit = load(parameters, CURVATURE), load(parameters, TENSION)
     float_weight = load(parameters, WEIGHT)
     wall = load_wall(parameters)
-    row, due, held = 0, first, len(links) - 1
+    held = len(to_root) - 1
     assign_root(tables, constants, factors, links, root)
     for step in range(len(inputs)):
         speed, slope = splat(parameters, inputs[step, SPEED]), splat(parameters, inputs[step, SLOPE])
@@ -200,9 +177,7 @@ def superelement_advance_single(
             for lane in range(min(lanes, top + 1 - b * lanes)):
                 i = b * lanes + lane
                 r = held if i == top else min(i, held - 1)
-                ux, uy, ut = link(
-                    state[q + VX, lane], state[q + VY, lane], state[q + VT, lane], links, r, 0, ux, uy, ut
-                )
+                ux, uy, ut = link(state[q + VX, lane], state[q + VY, lane], state[q + VT, lane], to_root, r, ux, uy, ut)
                 state[q + VX, lane], state[q + VY, lane], state[q + VT, lane] = ux, uy, ut
             behind, here = carried, further
         q = last * fields
@@ -217,9 +192,7 @@ def superelement_advance_single(
                 lane = lanes - 1 - up
                 i = b * lanes + lane
                 r = held if i == top else min(i, held - 1)
-                ux, uy, ut = link(
-                    state[q + VX, lane], state[q + VY, lane], state[q + VT, lane], links, r, 9, ux, uy, ut
-                )
+                ux, uy, ut = link(state[q + VX, lane], state[q + VY, lane], state[q + VT, lane], to_tip, r, ux, uy, ut)
                 state[q + VX, lane], state[q + VY, lane], state[q + VT, lane] = ux, uy, ut
             moved = three(state, q + VX)
             ux, uy, ut = state[q + VX, 0], state[q + VY, 0], state[q + VT, 0]
@@ -232,22 +205,15 @@ def superelement_advance_single(
             store(state, q + V, axial)
             move_float(state, q, moved, dt)
             velocity, middle = moved, half_way
-        due -= 1
         store(parameters, PEAK, peak)
-        highest = 0.0
+        inside = abs(state[Y, 0]) <= DIVERGED_RADIAL
         for lane in range(lanes):
-            highest = max(highest, parameters[PEAK, lane])
-        if not (abs(state[Y, 0]) <= DIVERGED_RADIAL and highest <= DIVERGED_RADIAL):
+            inside = inside and parameters[PEAK, lane] <= DIVERGED_RADIAL
+        if not inside:
             return step + 1, root
-        if due == 0:
-            sample(tables, state, fields, root, near, points, samples[row])
-            for i in range(min(len(tension), top + 1)):
-                tension[i] += state[(i // lanes) * fields + V, i % lanes]
-            due, row = every, row + 1
+        sample(tables, state, fields, lanes, root, 0, step, sampling)
         if inputs[step, APPEND] > 0.0:
-            copy_out(state, fields, top, near)
-            grow(tables, near, fields, root - top * per_pitch, 0, lag)
-            copy_back(state, fields, top, near)
+            grow(tables, state, fields, lanes, root, 0)
             root += 1
             assign_root(tables, constants, factors, links, root)
     return 0, root
