@@ -24,7 +24,7 @@ def compile_kernels() -> None:
         if method.single_share < 1.0:  # then one probe has a kernel of its own
             SimulatorBatch([short] * method.width, method, method.usual_step).advance(duration=1e-3)
     compressed = Scene.model_validate({"carrier_length": 1.0} | WITHDRAWAL_SCENE)
-    Simulator(compressed, ROUND_TRIP_PRESETS["standard"].method, 1e-4).run(1e-3)
+    Simulator(compressed, ROUND_TRIP_PRESETS["standard"].simulated_method, 1e-4).run(1e-3)
 
 
 if __name__ == "__main__":

@@ -15,18 +15,26 @@ import csv
 import logging
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
 from importlib.resources import files
 from typing import Annotated, Any, Final, NamedTuple, Self
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import AfterValidator, Field, SerializerFunctionWrapHandler, model_serializer, model_validator
+from pydantic import (
+    BeforeValidator,
+    Field,
+    InstanceOf,
+    PlainSerializer,
+    SerializerFunctionWrapHandler,
+    model_serializer,
+    model_validator,
+)
 from pydantic_core import PydanticCustomError
 
 from probe_env.arrays import FloatArray
-from probe_env.physics.methods import METHODS, ON_NODES, check_step, names_of
+from probe_env.physics.methods import METHODS, check_step, method_names
 from probe_env.physics.methods.method import Method
 from probe_env.scene import Scene
 from probe_env.settings import Model, closest, one_line_errors, quantity
@@ -45,17 +53,18 @@ NEAR: Final = 2.0
 MOST_TIME_LAPSE: Final = 4.0
 """Errors of time-lapse were measured at steady feeds; at 8, a controller feeds faster than the vibration develops."""
 AUTO: Final = re.compile(r"auto(?::(?P<tolerance>[^:]+))?")
-ON_MESH: Final = {"superelement": "imex", "superelement32": "imex32"}
-"""Methods with nodes between floats that replace superelements, in the same precision."""
 MESH_NODES, MESH_STEP = 8, 1.25e-4
 """Nodes per pitch and longest step [s] of replacements; all random scenes under compression are stable with them."""
 LOGGER: Final = logging.getLogger(__name__)
 
 
-def _check_method(method: str) -> str:
+def _method_of(method: object) -> object:
+    """A method from its name; None for "surrogate"."""
+    if not isinstance(method, str):
+        return method
     if method not in (*METHODS, SURROGATE):
         raise PydanticCustomError("method", "{text}", {"text": f"not one of {', '.join((*METHODS, SURROGATE))}"})
-    return method
+    return METHODS.get(method)
 
 
 class Fidelity(Model):
@@ -65,7 +74,12 @@ class Fidelity(Model):
     most ``STEADY_CHANGE``. The method "surrogate" has no other settings.
     """
 
-    method: Annotated[str, AfterValidator(_check_method)] = "superelement32"
+    method: Annotated[
+        InstanceOf[Method] | None,
+        BeforeValidator(_method_of),
+        PlainSerializer(lambda method: method.name if method else SURROGATE, str),
+    ] = METHODS["superelement32"]
+    """Method, or its name; None, "surrogate" in files, for the vibration map."""
     time_step: Annotated[float, quantity(1e-7, 1e-2, "s")] = 2e-4
     nodes_per_pitch: Annotated[int, Field(ge=1, le=64)] = 4
     time_lapse: Annotated[float, quantity(1.0, 1000.0, "")] = 1.0
@@ -75,9 +89,9 @@ class Fidelity(Model):
     def _fields_fit_together(self) -> Self:
         if self.steady_feed is not None and self.time_lapse == 1.0:
             raise PydanticCustomError("time_lapse", "steady_feed needs a time_lapse above 1, but time_lapse is 1")
-        if self.simulates:
+        if self.method is not None:
             try:
-                check_step(METHODS[self.method], self.time_step)
+                check_step(self.method, self.time_step)
             except ValueError as error:
                 raise PydanticCustomError("rounding", "{text}", {"text": str(error)}) from error
             return self
@@ -91,15 +105,36 @@ class Fidelity(Model):
         """Omit ``steady_feed`` if it is None: stored rows are identified by their settings."""
         return {name: value for name, value in write(self).items() if name != "steady_feed" or value is not None}
 
+    def __repr_args__(self) -> Iterator[tuple[str, Any]]:
+        """The fields that differ from their defaults, the method by its name."""
+        for name, value in super().__repr_args__():
+            yield name, self.method_name if name == "method" else value
+
     @property
     def simulates(self) -> bool:
         """Whether motion is simulated instead of predicted from a vibration map."""
-        return self.method != SURROGATE
+        return self.method is not None
 
     @property
     def numerics(self) -> tuple[Method, float, int]:
         """Method, time step [s] and nodes per pitch, the arguments of ``Simulator``."""
-        return METHODS[self.method], self.time_step, self.nodes_per_pitch
+        return self.simulated_method, self.time_step, self.nodes_per_pitch
+
+    @property
+    def method_name(self) -> str:
+        """Name of the method, or "surrogate"."""
+        return self.method.name if self.method else SURROGATE
+
+    @property
+    def simulated_method(self) -> Method:
+        """The method of a fidelity that simulates.
+
+        Raises:
+            ValueError: it predicts from a vibration map.
+        """
+        if self.method is None:
+            raise ValueError("fidelity = 'surrogate' simulates no motion, which is needed here: use fast or finer")
+        return self.method
 
     def time_lapse_of(self, feed_speed: npt.ArrayLike, target: npt.ArrayLike) -> FloatArray:
         """(N,) time-lapse of a control period of insertion: change of length over the motion's feed.
@@ -115,17 +150,15 @@ class Fidelity(Model):
 
 
 PRESETS: Final[dict[str, Fidelity]] = {
-    "study": Fidelity(method="newmark", time_step=1e-4),
-    "reference": Fidelity(method="superelement", time_step=5e-5),
+    "study": Fidelity(method=METHODS["newmark"], time_step=1e-4),
+    "reference": Fidelity(method=METHODS["superelement"], time_step=5e-5),
     "standard": Fidelity(),
     "fast": Fidelity(time_lapse=4.0),
-    SURROGATE: Fidelity(method=SURROGATE),
+    SURROGATE: Fidelity(method=None),
 }
-ALIASES: Final = {"map": SURROGATE}
-"""Other accepted names of presets."""
 ROUND_TRIP_PRESETS: Final[dict[str, Fidelity]] = {
-    "standard": Fidelity(method="imex", time_step=1.25e-4, nodes_per_pitch=8),
-    "fast": Fidelity(method="imex", time_lapse=4.0),
+    "standard": Fidelity(method=METHODS["imex"], time_step=1.25e-4, nodes_per_pitch=8),
+    "fast": Fidelity(method=METHODS["imex"], time_lapse=4.0),
 }
 """Presets of round trips. Compression presses the cable against the walls between floats, which needs nodes there, and
 displaces it by 0.4 m, which needs double precision. "fast" has 4 nodes per pitch, and time-lapse during insertion."""
@@ -142,9 +175,10 @@ def time_lapse_text(fidelity: Fidelity) -> str:
 def summary_text(fidelity: Fidelity) -> str:
     """All settings in one line."""
     if not fidelity.simulates:
-        return fidelity.method
+        return fidelity.method_name
     mesh = f"{fidelity.nodes_per_pitch} nodes a pitch" if fidelity.nodes_per_pitch != 4 else ""
-    return ", ".join(filter(None, (f"{fidelity.method} at {fidelity.time_step:g} s", mesh, time_lapse_text(fidelity))))
+    step = f"{fidelity.method_name} at {fidelity.time_step:g} s"
+    return ", ".join(filter(None, (step, mesh, time_lapse_text(fidelity))))
 
 
 def resolve_fidelity(
@@ -158,7 +192,7 @@ def resolve_fidelity(
     Args:
         fidelity: name, settings, or a mapping of settings.
         scene: scene for "auto"; default: table 2. If its cable touches the walls between floats, or its couple counts
-            from the tangent, a mesh of nodes replaces superelements: the method is that of ``ON_MESH`` with
+            from the tangent, a mesh of nodes replaces superelements: the method is its ``on_nodes_as`` with
             ``MESH_NODES`` per pitch, equal time-lapse, and a step of at most ``MESH_STEP``. Logged once.
         growing: whether the probe is inserted; time-lapse is not used at constant length.
         round_trip: whether the probe is also withdrawn.
@@ -174,12 +208,12 @@ def resolve_fidelity(
     if not growing:
         chosen = chosen.model_copy(update={"time_lapse": 1.0, "steady_feed": None})
     needs_nodes = scene.contact.cable or scene.couple == "tangent"
-    if not needs_nodes or chosen.method in ON_NODES or not chosen.simulates:
+    if chosen.method is None or chosen.method.on_nodes or not needs_nodes:
         return chosen
     step = min(chosen.time_step, MESH_STEP)
-    update = {"method": ON_MESH[chosen.method], "nodes_per_pitch": MESH_NODES, "time_step": step}
+    update = {"method": chosen.method.on_nodes_as, "nodes_per_pitch": MESH_NODES, "time_step": step}
     replacement = chosen.model_copy(update=update)
-    _log_nodes(chosen.method, summary_text(replacement))
+    _log_nodes(chosen.method_name, summary_text(replacement))
     return replacement
 
 
@@ -198,9 +232,8 @@ def _preset_or_settings(fidelity: str | Fidelity | Mapping[str, Any], scene: Sce
     if not isinstance(fidelity, str):
         with one_line_errors():
             return Fidelity.model_validate(dict(fidelity))
-    name = ALIASES.get(fidelity, fidelity)
-    if name in PRESETS:
-        return PRESETS[name]
+    if fidelity in PRESETS:
+        return PRESETS[fidelity]
     auto = AUTO.fullmatch(fidelity)
     if auto is None:
         known = ", ".join((*PRESETS, "auto", "auto:TOLERANCE"))
@@ -224,19 +257,19 @@ def _round_trip(fidelity: str | Fidelity | Mapping[str, Any]) -> Fidelity:
     if isinstance(fidelity, str) and AUTO.fullmatch(fidelity):
         raise ValueError(f"fidelity = {fidelity!r}: no errors are known for withdrawal; give one of {known}")
     chosen = _preset_or_settings(fidelity, Scene(), growing=True)
-    if not (chosen.simulates and METHODS[chosen.method].simulates_withdrawal):
+    if chosen.method is None or not chosen.method.simulates_withdrawal:
         raise ValueError(
-            f"fidelity = {fidelity!r}: {chosen.method} does not simulate withdrawal; give one of {known}, or settings"
-            f" with one of {names_of(lambda method: method.simulates_withdrawal)}"
+            f"fidelity = {fidelity!r}: {chosen.method_name} does not simulate withdrawal; give one of {known}, or"
+            f" settings with one of {method_names(lambda method: method.simulates_withdrawal)}"
         )
     return chosen
 
 
 def is_surrogate(fidelity: str | Fidelity | Mapping[str, Any]) -> bool:
     """Whether a fidelity, an argument of ``resolve_fidelity``, is that of the vibration map."""
-    if isinstance(fidelity, str):
-        return ALIASES.get(fidelity, fidelity) == SURROGATE
-    return (fidelity.method if isinstance(fidelity, Fidelity) else fidelity.get("method")) == SURROGATE
+    if isinstance(fidelity, Fidelity):
+        return not fidelity.simulates
+    return (fidelity if isinstance(fidelity, str) else fidelity.get("method")) == SURROGATE
 
 
 class MeasuredError(NamedTuple):
@@ -266,7 +299,7 @@ def measured_errors() -> tuple[MeasuredError, ...]:
     return tuple(
         MeasuredError(
             Fidelity(
-                method=row["method"],
+                method=METHODS[row["method"]],
                 time_step=float(row["time_step_s"]),
                 nodes_per_pitch=int(row["nodes_per_pitch"]),
                 time_lapse=float(row["time_lapse"]),
@@ -317,7 +350,7 @@ def choose_fidelity(
     rated = []
     for fidelity in dict.fromkeys(row.fidelity for row in measured_errors() if row.fidelity.time_lapse <= most):
         try:
-            stable = fidelity.time_step <= METHODS[fidelity.method].stable_step(scene, fidelity.nodes_per_pitch)
+            stable = fidelity.time_step <= fidelity.simulated_method.stable_step(scene, fidelity.nodes_per_pitch)
         except ValueError:  # the contact stiffness needs more modes than a superelement supports
             continue
         rows = [row for row in relevant if row.fidelity in (fidelity, fidelity.model_copy(update={"time_lapse": 1.0}))]

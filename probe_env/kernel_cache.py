@@ -22,11 +22,11 @@ import numba
 
 SOURCES: Final = Path(__file__).absolute().parent / "physics"
 STAMP: Final = "sources.sha256"
-"""File beside the compiled kernels: of what sources they are."""
+"""Hash of the kernel sources, stored next to the compiled kernels."""
 
 
 def ensure_kernel_cache() -> None:
-    """Choose a temporary folder for compiled kernels if numba has none, and warn of it; forget those of other sources.
+    """Choose a temporary folder for compiled kernels if numba has none, and warn of it; delete those of other sources.
 
     Worker processes inherit the choice.
 
@@ -35,36 +35,38 @@ def ensure_kernel_cache() -> None:
     """
     if numba.config.DISABLE_JIT:  # type: ignore[attr-defined]  # for debuggers: nothing is compiled
         return
-    kept_in = _numbas_folder()
-    if kept_in is None:
+    cache_folder = _numbas_folder()
+    if cache_folder is None:
         try:
             folder = _folder()
         except OSError as error:
             raise RuntimeError(
                 "no folder can be written to keep compiled kernels in: set NUMBA_CACHE_DIR to one that can"
             ) from error
-        given = os.environ.get("NUMBA_CACHE_DIR", "")
-        given = given and f"NUMBA_CACHE_DIR = {given} nor "
+        variable = os.environ.get("NUMBA_CACHE_DIR", "")
+        variable = variable and f"NUMBA_CACHE_DIR = {variable} nor "
         os.environ["NUMBA_CACHE_DIR"] = str(folder)
         numba.config.reload_config()  # type: ignore[no-untyped-call]
         warnings.warn(
-            f"compiled kernels are kept in {folder}, because neither {given}the package's folder nor the user's cache"
-            " can be written; set NUMBA_CACHE_DIR to choose another",
+            f"compiled kernels are kept in {folder}, because neither {variable}the package's folder nor the user's"
+            " cache can be written; set NUMBA_CACHE_DIR to choose another",
             stacklevel=3,
         )
-        kept_in = _numbas_folder()
-    if kept_in is not None:
-        forget_outdated(kept_in)
+        cache_folder = _numbas_folder()
+    if cache_folder is not None:
+        delete_outdated(cache_folder)
 
 
-def forget_outdated(kept_in: Path) -> None:
-    """Delete compiled kernels, unless their stamp is that of these sources; numba keeps this file's in ``kept_in``."""
-    beside_sources = kept_in.name == "__pycache__"
+def delete_outdated(cache_folder: Path) -> None:
+    """Delete compiled kernels, unless their stamp is that of these sources; ``cache_folder`` is this file's."""
+    beside_sources = cache_folder.name == "__pycache__"
 
     def folder_of(sources: Path) -> Path:
         if beside_sources:
             return sources / "__pycache__"
-        return kept_in.parent / f"{sources.name}_{hashlib.sha1(str(sources).encode()).hexdigest()}"  # as numba has it
+        return (
+            cache_folder.parent / f"{sources.name}_{hashlib.sha1(str(sources).encode()).hexdigest()}"
+        )  # as numba has it
 
     files = [path for pattern in ("*.py", "model/*.py", "methods/**/*.py") for path in SOURCES.glob(pattern)]
     hashed = hashlib.sha256()

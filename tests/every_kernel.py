@@ -8,7 +8,7 @@ import itertools
 import numpy as np
 
 from probe_env import Scene, Simulator, SimulatorBatch
-from probe_env.physics.methods import METHODS, SOLVERS
+from probe_env.physics.methods import METHODS
 
 STEPS = {name: method.usual_step for name, method in METHODS.items()}
 LANES = [name for name, method in METHODS.items() if method.width > 1]
@@ -59,11 +59,6 @@ def run_all():
                 thrown(simulator)
             batch.advance(0.25, 0.03, 90 * STEPS[method], 9 * STEPS[method])
             runs += 1
-    for solver in list(SOLVERS)[1:]:
-        simulator = Simulator(scene("both", 0.0, 0.2), solver=solver)
-        thrown(simulator)
-        simulator.advance(duration=2e-3)
-        runs += 1
     for method, count in itertools.product(LANES, range(1, 10)):
         scenes = [scene(("both", "inner")[k % 2], 0.1 * (k % 3), 0.3 + 0.1 * k) for k in range(count)]
         batch = SimulatorBatch(scenes, method, STEPS[method], growing=True, time_lapse=100.0, threads=1)

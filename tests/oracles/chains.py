@@ -10,9 +10,9 @@ from probe_env.physics.model.drive import Drive
 from probe_env.physics.model.state import at_rest
 
 
-def plain_chain(elements, **changes):
+def uniform_chain(elements, **changes):
     """A straight chain of the cable of table 2 with elasticity only, without damping."""
-    return bare_chains.plain_chain(elements, **({"damping_time": 0.0} | changes))
+    return bare_chains.uniform_chain(elements, **({"damping_time": 0.0} | changes))
 
 
 def bent(chain, helix_diameter=1.2):

@@ -11,9 +11,9 @@ import pytest
 from oracles.scatter import reach
 
 from probe_env import Scene, Simulator, SimulatorBatch
-from probe_env.physics.closed_forms.bare_chains import DrivenChain, plain_chain, run_chain
+from probe_env.physics.closed_forms.bare_chains import DrivenChain, run_chain, uniform_chain
 from probe_env.physics.methods import METHODS
-from probe_env.physics.methods.method import Lane
+from probe_env.physics.methods.method import KernelArguments
 from probe_env.physics.model.chain import most_pressure
 from probe_env.physics.model.drive import Drive
 from probe_env.physics.model.state import at_rest
@@ -24,7 +24,7 @@ EA, EI, DENSITY, DIAMETER = 1.1e5, 4.8e-2, 0.111, 8.35e-3  # the cable of table 
 
 
 def cable(elements, length, rigidity=EA, **changes):
-    """Straight cable of table 2 of a length [m]; plain_chain has elements of 25 mm."""
+    """Straight cable of table 2 of a length [m]; uniform_chain has elements of 25 mm."""
     h = length / elements
     mass = DENSITY * h
     mesh = {
@@ -32,7 +32,7 @@ def cable(elements, length, rigidity=EA, **changes):
         "bending_compliance": h / EI, "coupling_compliance": h**2 / (2.0 * EI), "mass": mass,
         "inertia": mass * (h**2 / 12.0 + DIAMETER**2 / 16.0), "damping_time": 0.0,
     }  # fmt: skip
-    return plain_chain(elements, **(mesh | changes))
+    return uniform_chain(elements, **(mesh | changes))
 
 
 def nodal(elements, **values):
@@ -219,7 +219,7 @@ def test_configurational_force_of_a_growing_cable():
         inputs = Drive(feed, 0.0, growth=1.0).inputs_of_steps(steps, time_step, h, last - root)
         samples = np.zeros((steps, 1, 4))
         constants = method.constants(chain, 0, per_pitch, time_step)
-        lane = Lane(constants, state, root, inputs, np.array([-1]), samples, np.zeros(0))
+        lane = KernelArguments(constants, state, root, inputs, np.array([-1]), samples, np.zeros(0))
         method.run([lane], time_step, per_pitch, 1, 1)
         root = lane.root
         deflections.append(state.d[0, 1])

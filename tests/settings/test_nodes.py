@@ -9,7 +9,6 @@ from probe_agents.policies.cases import load_case
 from probe_env import Fidelity, Plant, Scene
 from probe_env.envs.episodes import Episodes
 from probe_env.fidelity import PRESETS, resolve_fidelity
-from probe_env.physics.methods import METHODS, ON_NODES
 
 CABLE = {"contact": {"cable": True}}
 SCENES = {"cable": CABLE, "tangent": {"couple": "tangent"}}
@@ -21,16 +20,16 @@ SHORT = {"tube": {"helix_length": 8.0}}
 def test_presets_have_nodes_if_the_scene_needs_them(name, needs):
     scene, preset = Scene.model_validate(SCENES[needs]), PRESETS[name]
     assert resolve_fidelity(name) == resolve_fidelity(name, Scene()) == preset
-    chosen, method = resolve_fidelity(name, scene), METHODS[preset.method]
-    if preset.method in ON_NODES:
+    chosen = resolve_fidelity(name, scene)
+    if preset.method.on_nodes:
         assert chosen == preset
         return
-    assert chosen.method in ON_NODES
-    assert method.precision == METHODS[chosen.method].precision
+    assert chosen.method.on_nodes
+    assert chosen.method.precision == preset.method.precision
     assert chosen.time_lapse == preset.time_lapse
     assert chosen.nodes_per_pitch == 8  # the converged mesh
-    limit = METHODS[chosen.method].stable_step(scene, chosen.nodes_per_pitch)
-    assert METHODS[chosen.method].least_step <= chosen.time_step <= min(preset.time_step, limit)
+    limit = chosen.method.stable_step(scene, chosen.nodes_per_pitch)
+    assert chosen.method.least_step <= chosen.time_step <= min(preset.time_step, limit)
     assert resolve_fidelity(chosen, scene) == chosen
 
 
@@ -38,8 +37,8 @@ def test_auto_and_custom_settings():
     scene = Scene.model_validate(CABLE)
     for fidelity in ("auto", {"method": "superelement", "time_step": 1e-4}):
         elastic, chosen = resolve_fidelity(fidelity), resolve_fidelity(fidelity, scene)
-        assert elastic.method not in ON_NODES
-        assert (chosen.method, chosen.nodes_per_pitch) == (elastic.method.replace("superelement", "imex"), 8)
+        assert not elastic.method.on_nodes
+        assert (chosen.method, chosen.nodes_per_pitch) == (elastic.method.on_nodes_as, 8)
         assert chosen.time_step <= elastic.time_step
     custom = Fidelity(method="imex", time_step=1e-4, nodes_per_pitch=4)
     assert resolve_fidelity(custom, scene) == custom

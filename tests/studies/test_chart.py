@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from oracles.chains import bent, matrices, plain_chain
+from oracles.chains import bent, matrices, uniform_chain
 from scipy.linalg import expm
 
 from probe_agents.records.store import Store
@@ -20,7 +20,7 @@ FOLDER = ROOT / "results" / "chart"
 
 
 def test_modal_closed_form_equals_the_matrix_exponential():
-    chain = bent(plain_chain(6))._replace(damping_time=5e-5)
+    chain = bent(uniform_chain(6))._replace(damping_time=5e-5)
     M, K = matrices(chain)
     rng = np.random.default_rng(0)
     before, load = rng.normal(size=(2, 6, 3)) * (1.0, 1e-2, 1e-4)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from probe_agents.studies.predictability import FRICTIONS, Setting, growth
-from probe_env.physics.closed_forms.bare_chains import AXIAL, DrivenChain, plain_chain, run_chain
+from probe_env.physics.closed_forms.bare_chains import AXIAL, DrivenChain, run_chain, uniform_chain
 from probe_env.physics.model.state import at_rest
 
 TINY = 1e-9
@@ -57,7 +57,7 @@ def test_the_interval_holds_the_exponent_of_the_logistic_map():
 def test_a_damped_chain_decays(damping_time, result):
     """A mass on an elastic element: amplitude exp(-omega^2 tau t / 2); without damping neither growth nor decay."""
     stiffness, time_step, steps = 1e3, 1e-5, 5000
-    chain = plain_chain(1, axial_compliance=1.0 / stiffness, damping_time=damping_time, coupling_compliance=0.0)
+    chain = uniform_chain(1, axial_compliance=1.0 / stiffness, damping_time=damping_time, coupling_compliance=0.0)
     omega = math.sqrt(stiffness / chain.mass)
     twins = []
     for offset in (0.0, TINY):

@@ -14,7 +14,7 @@ from probe_agents.evaluation.workers import Workers
 from probe_agents.records.shipped import file_or_shipped
 from probe_agents.terminal.tables import print_line
 from probe_env import Scene, Simulator
-from probe_env.physics.methods import METHODS, SOLVERS, method_named
+from probe_env.physics.methods import METHODS, method_named
 from probe_env.settings import within
 
 Policies = Annotated[tuple[str, ...], tyro.conf.arg(metavar="[POLICY ...]")]
@@ -38,8 +38,6 @@ class Simulate:
     """Time step [s]; default: that of the method."""
     nodes_per_pitch: int = 4
     """Nodes per float pitch."""
-    solver: Annotated[str, tyro.conf.arg(metavar=f"{{{','.join(SOLVERS)}}}")] = "ticm"
-    """Linear solver of newmark and wilson."""
     start: Literal["inner", "outer"] = "inner"
     """Wall on which the probe lies at rest; outer is for withdrawal, with --scene.couple tangent and
     negative --scene.feed-speed and --scene.air-supply-rate."""
@@ -69,7 +67,7 @@ class Simulate:
         output = self.output or Path("output") / name
         method = method_named(self.method)
         step = method.usual_step if self.time_step is None else self.time_step
-        simulator = Simulator(self.scene, method, step, self.nodes_per_pitch, solver=self.solver, start=self.start)
+        simulator = Simulator(self.scene, method, step, self.nodes_per_pitch, start=self.start)
         stable = simulator.stable_time_step
         limit = "with any step" if math.isinf(stable) else f"up to {stable:.2g} s" if stable else "limit not known"
         print_line(f"{name}: {simulator.chain.node_count} nodes, {self.method}, time step {step:g} s (stable: {limit})")

@@ -88,7 +88,6 @@ def _store(simulator: Simulator, run: Run, statistics: dict[str, float], start: 
     results = {
         "scene": scene.model_dump(),
         "method": simulator.method.name,
-        "solver": simulator.solver,
         "time_step_s": simulator.time_step,
         "stable_time_step_s": stable if math.isfinite(stable) else None,  # implicit is stable with any step
         "nodes_per_pitch": simulator.nodes_per_pitch,

@@ -21,12 +21,11 @@ from probe_env.arrays import FloatArray
 from probe_env.physics import closed_forms, methods
 from probe_env.physics.closed_forms.bare_chains import (
     AXIAL,
-    LAPACK,
     RADIAL,
     DrivenChain,
     bent_chain,
-    plain_chain,
     run_chain,
+    uniform_chain,
 )
 from probe_env.physics.methods.newmark import Newmark
 from probe_env.physics.model.chain import air_speed, build_chain, sensor_node
@@ -39,10 +38,7 @@ SMOOTH_KEYS = ("scene", "method", "time_step_s")
 COLUMNS = (*SMOOTH_KEYS, "error", "cpu_s", "sweeps")
 REFERENCE_ROWS = "references"
 """Value of the column ``method`` for the difference of the two references."""
-LAPACK_STEPS = 3
-"""Number of steps that are run with LAPACK's solver, which is five times as slow."""
 LEAST_TIMED = 0.2  # [s] of processor time, repeats included
-METHODS = (*methods.ON_NODES, LAPACK)
 RESOLVED = 10.0  # errors below this multiple of the references' difference are not evaluated
 ROUNDING = 1e-8  # errors below it are rounding
 
@@ -77,7 +73,7 @@ class Case:
                 target[:-1] = values
         if method == "explicit":
             state.v[:] -= 0.5 * time_step * state.memory
-        if method != LAPACK and not isinstance(methods.METHODS[method], Newmark):
+        if not isinstance(methods.METHODS[method], Newmark):
             state.memory[:] = 0.0  # not an acceleration there
         return state
 
@@ -103,7 +99,7 @@ def _step_load() -> Case:
     """Five metres of cable with a constant force on all floats from t = 0 (drag of a very fast air flow)."""
     elements, force, wind = 200, 0.01, 1e6
     nodes = np.arange(elements + 1)
-    chain = plain_chain(elements, drag=np.where(nodes % 4 == 0, force / wind**2, 0.0))
+    chain = uniform_chain(elements, drag=np.where(nodes % 4 == 0, force / wind**2, 0.0))
     load = np.zeros((elements, 3))
     load[::4, AXIAL] = force
 
@@ -117,7 +113,7 @@ def _impact() -> Case:
     """A mass of one node that hits the wall's spring from 0.1 mm at 0.1 m/s."""
     stiffness, height, speed = 1e5, 1e-4, 0.1
     free = dict.fromkeys(("axial_compliance", "shear_compliance", "bending_compliance"), 1e6)
-    chain = plain_chain(1, contact_stiffness=np.array([stiffness, 0.0]), coupling_compliance=0.0, **free)
+    chain = uniform_chain(1, contact_stiffness=np.array([stiffness, 0.0]), coupling_compliance=0.0, **free)
 
     def exact(times: FloatArray) -> FloatArray:
         return closed_forms.impact(chain.mass, stiffness, height, speed, times)
@@ -164,10 +160,7 @@ def run_smooth(store: Store) -> pd.DataFrame:
     The scene without a closed form has a row ``REFERENCE_ROWS``. Stored rows are not run again.
     """
     cells = [
-        (name, method, dt)
-        for name, case in cases().items()
-        for method in METHODS
-        for dt in case.time_steps[: LAPACK_STEPS if method == LAPACK else None]
+        (name, method, dt) for name, case in cases().items() for method in methods.ON_NODES for dt in case.time_steps
     ]
     truth: dict[str, FloatArray] = {}
 

@@ -43,8 +43,8 @@ from probe_env.physics.closed_forms.bare_chains import (
     bent_chain,
     linear_matrix,
     masses,
-    plain_chain,
     run_chain,
+    uniform_chain,
 )
 from probe_env.physics.methods import METHODS, ON_NODES
 from probe_env.physics.methods.newmark import Newmark
@@ -179,9 +179,9 @@ def one_mass(spring: str, stiffness: float = STIFFNESS, gap: float = math.inf) -
     free = dict.fromkeys(("axial_compliance", "shear_compliance", "bending_compliance"), 1e9)
     if spring == "elastic":
         free["axial_compliance"] = 1.0 / stiffness
-        return plain_chain(1, damping_time=0.0, coupling_compliance=0.0, **free), AXIAL
+        return uniform_chain(1, damping_time=0.0, coupling_compliance=0.0, **free), AXIAL
     walls = {"contact_stiffness": np.array([stiffness, 0.0]), "outer_gap": np.array([gap, np.inf])}
-    return plain_chain(1, damping_time=0.0, coupling_compliance=0.0, **free, **walls), RADIAL
+    return uniform_chain(1, damping_time=0.0, coupling_compliance=0.0, **free, **walls), RADIAL
 
 
 def _step(method: str, chain: Chain, time_step: float, start: FloatArray, component: int) -> FloatArray:

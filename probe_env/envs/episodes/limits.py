@@ -19,7 +19,8 @@ from typing import Final, NamedTuple
 
 from probe_env.envs.task import TaskConfig
 from probe_env.fidelity import MESH_NODES, Fidelity
-from probe_env.physics.methods import METHODS, ON_NODES, check_scene
+from probe_env.physics.methods import METHODS, check_scene
+from probe_env.physics.methods.method import Method
 from probe_env.physics.model.chain import air_speed
 from probe_env.scene import Probe, Scene
 from probe_env.settings import whole_steps
@@ -46,9 +47,7 @@ class Sliding(NamedTuple):
 
 def check_fidelity(fidelity: Fidelity, config: TaskConfig) -> None:
     """Raise ValueError if a fidelity cannot simulate a task in any tube."""
-    if not fidelity.simulates:
-        raise ValueError("fidelity = 'surrogate' simulates no motion, which is needed here: use fast or finer")
-    check_scene(METHODS[fidelity.method], config.scene)
+    check_scene(fidelity.simulated_method, config.scene)
     whole_steps("config.period / fidelity.time_lapse", config.period / fidelity.time_lapse, fidelity.time_step)
     if config.returns or fidelity.steady_feed is not None:
         whole_steps("config.period", config.period, fidelity.time_step)
@@ -67,14 +66,14 @@ def check_simulable(scene: Scene, fidelity: Fidelity, longest: float, most_air: 
     """
     stiffness, diameter, probe = scene.contact.stiffness, scene.tube.helix_diameter, scene.probe
     try:
-        limit = _longest_step(fidelity.method, scene, fidelity.nodes_per_pitch)
+        limit = _longest_step(fidelity.simulated_method, scene, fidelity.nodes_per_pitch)
     except ValueError as error:
         raise ValueError(
             f"contact_stiffness = {stiffness:g} N/m: {error}: give fidelity = {_stable_settings(fidelity, scene)}"
         ) from error
     if fidelity.time_step > limit * (1.0 + 1e-9):
         raise ValueError(
-            f"contact_stiffness = {stiffness:g} N/m: {fidelity.method} needs a time step of at most {limit:.2g} s,"
+            f"contact_stiffness = {stiffness:g} N/m: {fidelity.method_name} needs a time step of at most {limit:.2g} s,"
             f" and that of this fidelity is {fidelity.time_step:g} s: give fidelity ="
             f" {_stable_settings(fidelity, scene)}"
         )
@@ -102,12 +101,12 @@ def check_simulable(scene: Scene, fidelity: Fidelity, longest: float, most_air: 
             f"{tube}: drag stretches the probe and presses it into the wall so that it turns by {turn:.2g} rad along"
             f" the helix, and the model holds up to {MOST_TURN:g} rad; {REMEDY}"
         )
-    tension_limit = _tension_step(fidelity.method, probe, start.tension, end.tension)
+    tension_limit = _tension_step(fidelity.simulated_method, probe, start.tension, end.tension)
     if fidelity.time_step > tension_limit * (1.0 + 1e-9):
-        at_start = _tension_step(fidelity.method, probe, start.tension, 0.0) == tension_limit
+        at_start = _tension_step(fidelity.simulated_method, probe, start.tension, 0.0) == tension_limit
         pull = f"{start.tension:.3g} N as it starts from rest" if at_start else f"{end.tension:.3g} N as it slides"
         raise ValueError(
-            f"{tube}: drag pulls the probe with {pull}: {fidelity.method} needs a time step of at most"
+            f"{tube}: drag pulls the probe with {pull}: {fidelity.method_name} needs a time step of at most"
             f" {tension_limit:.2g} s, and that of this fidelity is {fidelity.time_step:g} s: give fidelity ="
             f" {_stable_settings(fidelity, scene, start.tension, end.tension)}"
         )
@@ -142,15 +141,14 @@ def steady_sliding(scene: Scene, length: float, air_supply_rate: float, friction
     return Sliding(greatest, greatest * sinking, whole * (1.0 / probe.tensile_rigidity + sinking / radius))
 
 
-def _longest_step(method: str, scene: Scene, nodes_per_pitch: int) -> float:
+def _longest_step(method: Method, scene: Scene, nodes_per_pitch: int) -> float:
     """Longest step known to be stable [s], else the longest that contact allows."""
-    solver = METHODS[method]
-    return solver.stable_step(scene, nodes_per_pitch) or solver.contact_step(scene, nodes_per_pitch)
+    return method.stable_step(scene, nodes_per_pitch) or method.contact_step(scene, nodes_per_pitch)
 
 
-def _tension_step(method: str, probe: Probe, start: float, end: float) -> float:
+def _tension_step(method: Method, probe: Probe, start: float, end: float) -> float:
     """Longest stable step [s] for tensions [N] at the start and at the end; no limit is known for nodes."""
-    if method in ON_NODES:
+    if method.on_nodes:
         return math.inf
     pitch = probe.line_density * probe.float_pitch
     return min(
@@ -161,13 +159,14 @@ def _tension_step(method: str, probe: Probe, start: float, end: float) -> float:
 def _stable_settings(fidelity: Fidelity, scene: Scene, start: float = 0.0, end: float = 0.0) -> str:
     """Stable settings with a round step: the same method, else double precision, else nodes."""
     steps = [float(f"{digit}e{power}") for power in range(-2, -8, -1) for digit in (5, 2, 1)]
-    for method in dict.fromkeys((fidelity.method, fidelity.method.removesuffix("32"), "imex")):
-        nodes = fidelity.nodes_per_pitch if (method in ON_NODES) == (fidelity.method in ON_NODES) else MESH_NODES
+    present = fidelity.simulated_method
+    for method in dict.fromkeys((present, present.in_double, METHODS["imex"])):
+        nodes = fidelity.nodes_per_pitch if method.on_nodes == present.on_nodes else MESH_NODES
         try:
             limit = min(_longest_step(method, scene, nodes), _tension_step(method, scene.probe, start, end))
         except ValueError:
             continue
         step = next((value for value in steps if SHORTEST_STEP <= value <= limit), 0.0)
-        if step and step >= METHODS[method].least_step:
-            return repr(fidelity.model_dump() | {"method": method, "time_step": step, "nodes_per_pitch": nodes})
+        if step and step >= method.least_step:
+            return repr(fidelity.model_dump() | {"method": method.name, "time_step": step, "nodes_per_pitch": nodes})
     return repr(fidelity.model_dump() | {"method": "implicit"})

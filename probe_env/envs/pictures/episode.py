@@ -113,23 +113,19 @@ class Traces:
         self._lines[0].set_linewidth(0.6)
         self.moving: tuple[Any, ...] = tuple(self._lines)
 
-    def update(self, window: Window | None, index: int, history: FloatArray) -> list[Any]:
-        """Draw the last window of a probe and its history, a row per period, see ``COLUMNS``.
-
-        Returns:
-            the axes whose limits changed.
-        """
+    def update(self, window: Window | None, index: int, history: FloatArray) -> bool:
+        """Draw the last window of a probe and its history, see ``COLUMNS``; returns whether limits of axes changed."""
         if window is not None and window.time is not None and window.radial is not None:
             self._lines[0].set_data(window.time, window.radial[:, index] * 1e3)
         time, length, feed, air, rms, reward, low, high = history.T
         for line, values in zip(self._lines[1:], (feed, air * 3600.0, rms * 1e3, reward), strict=True):
             line.set_data(length if self._growing else time, values)
-        changed = []
+        changed = False
         for axes, values in zip(self._least, (np.r_[low, high] * 1e3, rms * 1e3, reward), strict=True):
             limits = limits_around(values, self._least[axes])
             if limits != axes.get_ylim():
                 axes.set_ylim(*limits)
-                changed.append(axes)
+                changed = True
         return changed
 
 

@@ -8,11 +8,8 @@ from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
-from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.patches import Rectangle
-from matplotlib.transforms import IdentityTransform
 
 from probe_env.arrays import FloatArray
 from probe_env.scene import Scene
@@ -36,37 +33,20 @@ class Plate:
     """
 
     def __init__(self, figure: Figure, moving: Sequence[Any]) -> None:
-        canvas: Any = FigureCanvasAgg(figure)
-        self._canvas, self._figure, self._moving = canvas, figure, moving
+        self._canvas: Any = FigureCanvasAgg(figure)
+        self._figure, self._moving, self._background = figure, moving, None
         for artist in moving:
             artist.set_animated(True)  # not part of the background
-        canvas.draw()
-        self._background = canvas.copy_from_bbox(figure.bbox)
-        self._extent: dict[Axes, Any] = {axes: axes.get_tightbbox(canvas.get_renderer()) for axes in figure.axes}
 
-    def picture(self, changed: Sequence[Axes] = ()) -> Picture:
-        """Current picture of the figure.
-
-        Args:
-            changed: axes whose limits changed since the last picture; nothing else may overlap their labels.
-        """
-        self._canvas.restore_region(self._background)
-        for axes in changed:
-            self._redraw(axes)
-        if changed:
+    def picture(self, changed: bool = False) -> Picture:
+        """Current picture of the figure; ``changed``: something else than the moving artists changed, too."""
+        if changed or self._background is None:
+            self._canvas.draw()
             self._background = self._canvas.copy_from_bbox(self._figure.bbox)
+        self._canvas.restore_region(self._background)
         for artist in self._moving:
             artist.draw(self._canvas.get_renderer())
         return np.asarray(self._canvas.buffer_rgba())[:, :, :3].copy()
-
-    def _redraw(self, axes: Axes) -> None:
-        """Redraw axes in the background."""
-        renderer, old = self._canvas.get_renderer(), self._extent[axes].padded(2.0)  # pixels, for smoothed edges
-        blank = Rectangle(old.min, old.width, old.height, facecolor="white", transform=IdentityTransform())
-        blank.set_figure(self._figure)
-        blank.draw(renderer)
-        axes.draw(renderer)
-        self._extent[axes] = axes.get_tightbbox(renderer)
 
 
 def label_of(scene: Scene) -> str:

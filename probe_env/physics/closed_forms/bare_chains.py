@@ -11,14 +11,12 @@ import numpy as np
 from probe_env.arrays import FloatArray
 from probe_env.physics.methods import method_named
 from probe_env.physics.methods.factors import node_matrices
-from probe_env.physics.methods.method import Lane
+from probe_env.physics.methods.method import KernelArguments
 from probe_env.physics.model.chain import Chain, build_chain
 from probe_env.physics.model.drive import Drive
 from probe_env.physics.model.state import State, check_state
 from probe_env.scene import Scene
 
-LAPACK = "newmark (LAPACK)"
-"""Newmark with the banded solver of LAPACK instead of the TICM."""
 AXIAL, RADIAL = 0, 1
 
 
@@ -41,23 +39,23 @@ class ChainRun(NamedTuple):
     cpu: float
 
 
-def plain_chain(elements: int, **changes: Any) -> Chain:
+def uniform_chain(elements: int, **changes: Any) -> Chain:
     """Straight cable of table 2 with elasticity and damping only."""
     nodes = elements + 1
     scene = Scene.model_validate({"tube": {"helix_diameter": 1e4, "helix_length": 1000.0}, "carrier_length": 0.1})
     none = np.zeros(nodes)
-    plain = build_chain(scene)._replace(
+    uniform = build_chain(scene)._replace(
         cos_phi=1.0, sin_phi=0.0, curvature=0.0, couple_length=0.0, frame_inertia=0.0, friction=0.0,
         contact_stiffness=none, outer_gap=np.full(nodes, np.inf), lever=none, drag=none,
         support_stiffness=np.zeros((nodes, 3)), load=np.zeros((nodes, 3)),
     )  # fmt: skip
-    return plain._replace(**changes)
+    return uniform._replace(**changes)
 
 
 def bent_chain(elements: int, helix_diameter: float = 1.2, **changes: Any) -> Chain:
-    """``plain_chain`` with the frame angle of a helix, but without its inertia terms."""
-    sin_phi = plain_chain(1).element_length / helix_diameter
-    return plain_chain(elements, sin_phi=sin_phi, cos_phi=float(np.sqrt(1.0 - sin_phi**2)), **changes)
+    """``uniform_chain`` with the frame angle of a helix, but without its inertia terms."""
+    sin_phi = uniform_chain(1).element_length / helix_diameter
+    return uniform_chain(elements, sin_phi=sin_phi, cos_phi=float(np.sqrt(1.0 - sin_phi**2)), **changes)
 
 
 def linear_matrix(chain: Chain) -> FloatArray:
@@ -77,15 +75,14 @@ def masses(chain: Chain) -> FloatArray:
 def run_chain(
     method: str, driven: DrivenChain, time_step: float, state: State, steps: int, every: int, node: int = 0
 ) -> ChainRun:
-    """Advance a state in place by a method (or ``LAPACK``), sampling a node after every ``every`` steps."""
+    """Advance a state in place by a method, sampling a node after every ``every`` steps."""
     chain, sensor, feed_speed, air_speed, per_pitch = driven
-    scheme, solver = ("newmark", "banded") if method == LAPACK else (method, "ticm")
-    kernel, root = method_named(scheme, solver), chain.node_count - 1
+    kernel, root = method_named(method), chain.node_count - 1
     check_state(state, root, chain.node_count, kernel.memory)
     constants = kernel.constants(chain, sensor, per_pitch, time_step)
     inputs = Drive(feed_speed, air_speed).inputs_of_steps(steps, time_step, chain.element_length, 0)
     points, samples = np.array([node], dtype=np.int64), np.zeros((steps // every, 1, 4))
-    lane = Lane(constants, state, root, inputs, points, samples, np.zeros(0))
+    lane = KernelArguments(constants, state, root, inputs, points, samples, np.zeros(0))
     begin = time.thread_time()
     kernel.run([lane], time_step, per_pitch, every, every)
     spent = time.thread_time() - begin

@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Final
 
-from probe_env.physics.methods import banded, transfer_matrix
 from probe_env.physics.methods.explicit import Explicit
 from probe_env.physics.methods.imex import Imex, Imex32
 from probe_env.physics.methods.implicit import Implicit
 from probe_env.physics.methods.method import Method
-from probe_env.physics.methods.newmark import Newmark, Solver, Wilson
+from probe_env.physics.methods.newmark import Newmark, Wilson
 from probe_env.physics.methods.superelement.group import Superelement, Superelement32
 from probe_env.scene import Scene
 
@@ -21,30 +20,19 @@ METHODS: Final[dict[str, Method]] = {
     )
 }  # fmt: skip
 ON_NODES: Final = {name: method for name, method in METHODS.items() if method.on_nodes}
-SOLVERS: Final[dict[str, Solver | None]] = {
-    "ticm": None, "banded": banded.stepper, "transfer-matrix": transfer_matrix.stepper
-}  # fmt: skip
-"""Solvers of the linear system of Newmark and Wilson; None: the built-in one."""
 
 
-def method_named(method: str | Method, solver: str = "ticm") -> Method:
-    """A method by its name, or the given one, with a solver of its linear system by name.
+def method_named(method: str | Method) -> Method:
+    """A method by its name, or the given one.
 
     Raises:
-        ValueError: unknown method or solver, or a method without a choice of solvers.
+        ValueError: unknown method.
     """
-    if isinstance(method, str):
-        if method not in METHODS:
-            raise ValueError(f"method = {method!r} is not one of {', '.join(METHODS)}")
-        method = METHODS[method]
-    if solver not in SOLVERS:
-        raise ValueError(f"solver = {solver!r} is not one of {', '.join(SOLVERS)}")
-    if isinstance(method, Newmark):
-        return type(method)(SOLVERS[solver])
-    if SOLVERS[solver] is not None:
-        able = names_of(lambda other: isinstance(other, Newmark))
-        raise ValueError(f"solver: {method.name} has its own; {able} take another")
-    return method
+    if isinstance(method, Method):
+        return method
+    if method not in METHODS:
+        raise ValueError(f"method = {method!r} is not one of {', '.join(METHODS)}")
+    return METHODS[method]
 
 
 def check_step(method: Method, time_step: float) -> None:
@@ -52,7 +40,7 @@ def check_step(method: Method, time_step: float) -> None:
     if time_step < method.least_step:
         raise ValueError(
             f"time_step = {time_step!r} s is below {method.least_step:g} s, where the rounding of {method.name} shows:"
-            f" {names_of(lambda other: other.least_step == 0.0)} have no such limit"
+            f" {method_names(lambda other: other.least_step == 0.0)} have no such limit"
         )
 
 
@@ -64,9 +52,9 @@ def check_scene(method: Method, scene: Scene) -> None:
     )
     for option, used, able in options:
         if used and not able(method):
-            raise ValueError(f"{option} = true: {method.name} does not simulate it; use {names_of(able)}")
+            raise ValueError(f"{option} = true: {method.name} does not simulate it; use {method_names(able)}")
 
 
-def names_of(which: Callable[[Method], bool]) -> str:
+def method_names(condition: Callable[[Method], bool]) -> str:
     """Names of the methods with a property, for error messages."""
-    return ", ".join(name for name, method in METHODS.items() if which(method))
+    return ", ".join(name for name, method in METHODS.items() if condition(method))

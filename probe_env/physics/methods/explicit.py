@@ -6,45 +6,11 @@ K (d + delta v) is part of the kick of ``imex``; the damping force lags half a s
 from __future__ import annotations
 
 from probe_env.arrays import FloatArray
+from probe_env.physics.methods import imex
+from probe_env.physics.methods import lane_group as layout
 from probe_env.physics.methods.factors import explicit_factors
-from probe_env.physics.methods.imex import (
-    after_step,
-    cable_forces,
-    cable_walls,
-    compressed_forces,
-    float_at,
-    float_forces,
-    inertia_forces,
-    load_compressed,
-    load_floats,
-    load_wall,
-    magnitude,
-    product,
-)
-from probe_env.physics.methods.lane_group import (
-    AXIAL,
-    COS,
-    COUPLE,
-    CURVATURE,
-    DAMPING,
-    FACTORS,
-    FIELDS,
-    PEAK,
-    ROOT,
-    SIN,
-    VT,
-    VX,
-    VY,
-    A,
-    B,
-    C,
-    NodeLanes,
-    T,
-    V,
-    X,
-    Y,
-)  # fmt: skip
-from probe_env.physics.methods.lanes import any_less, kernel, load, splat, store, where_less
+from probe_env.physics.methods.lane_group import NodeLanes
+from probe_env.physics.methods.lanes import any_less, kernel, load, load3, splat, store, store3, where_less
 from probe_env.physics.methods.stability import explicit_step
 from probe_env.physics.model.chain import Chain
 from probe_env.physics.model.drive import AIR, INPUTS, SLOPE, SPEED
@@ -56,74 +22,67 @@ def explicit_advance(
     parameters, compressed, factors, state, inputs, tops, bottoms, dt, per_pitch, sampling, roots, failed
 ):
     """Advance all lanes by central differences; arguments as in ``imex_advance``."""
-    first, every, points, samples, tension = sampling
     zero = splat(parameters, 0.0)
-    delta = load(parameters, DAMPING)
-    kappa, couple = load(parameters, CURVATURE), load(parameters, COUPLE)
-    floats, wall = load_floats(parameters), load_wall(parameters)
-    compressed_couple, cable = load_compressed(parameters)
-    walls = cable_walls(float_at(0, floats), cable)
-    cosine, sine, axial = load(parameters, COS), load(parameters, SIN), load(parameters, AXIAL)
-    row, due = 0, first
+    delta = load(parameters, layout.DAMPING)
+    kappa, couple = load(parameters, layout.CURVATURE), load(parameters, layout.COUPLE)
+    floats, wall = imex.load_floats(parameters), imex.load_wall(parameters)
+    compressed_couple, cable = imex.load_compressed(parameters)
+    walls = imex.cable_walls(imex.float_at(0, floats), cable)
+    cosine, sine, axial = load(parameters, layout.COS), load(parameters, layout.SIN), load(parameters, layout.AXIAL)
     for step in range(len(tops)):
         k = step * INPUTS
         speed, slope, air = load(inputs, k + SPEED), load(inputs, k + SLOPE), load(inputs, k + AIR)
-        held = load(parameters, ROOT)
+        held = load(parameters, layout.ROOT)
         to_float, peak = 0, zero
         bx, by, bt = zero, zero, zero  # d + delta v of the node on the tip side
-        x, y, t = load(state, X), load(state, Y), load(state, T)
-        vx, vy, vt = load(state, VX), load(state, VY), load(state, VT)
+        x, y, t = load3(state, layout.X)
+        vx, vy, vt = load3(state, layout.VX)
         ex, ey, et = x + delta * vx, y + delta * vy, t + delta * vt
         for i in range(tops[step]):
-            q, f = i * FIELDS, min(i, 1) * FACTORS
-            nx, ny, nt = load(state, q + FIELDS + X), load(state, q + FIELDS + Y), load(state, q + FIELDS + T)
-            nvx, nvy, nvt = load(state, q + FIELDS + VX), load(state, q + FIELDS + VY), load(state, q + FIELDS + VT)
+            q, f = i * layout.FIELDS, min(i, 1) * layout.FACTORS
+            ahead = q + layout.FIELDS
+            nx, ny, nt = load3(state, ahead + layout.X)
+            nvx, nvy, nvt = load3(state, ahead + layout.VX)
             aex, aey, aet = nx + delta * nvx, ny + delta * nvy, nt + delta * nvt
             force = axial * (cosine * (ex - aex) + sine * (ey + aey))
             forward = speed + vx
             if len(compressed) > 0:
-                ax, ay, at = compressed_forces(kappa, compressed_couple, forward, vy, x, t, force, dt)
+                ax, ay, at = imex.compressed_forces(kappa, compressed_couple, forward, vy, x, t, force, dt)
             else:
-                ax, ay, at = inertia_forces(kappa, couple, forward, vy, t, force, dt)
+                ax, ay, at = imex.inertia_forces(kappa, couple, forward, vy, t, force, dt)
             if len(compressed) > 1:
                 if to_float == 0:
-                    walls = cable_walls(float_at(i + 1, floats), cable)
+                    walls = imex.cable_walls(imex.float_at(i + 1, floats), cable)
                 elif any_less(y, walls[0]) or any_less(walls[1], y):
-                    cx, cy, ct = cable_forces(walls, cable, y, forward, vt)
+                    cx, cy, ct = imex.cable_forces(walls, cable, y, forward, vt)
                     ax, ay, at = ax + cx, ay + cy, at - ct
             if to_float == 0:
                 to_float = per_pitch
-                cx, cy, ct = float_forces(float_at(i, floats), wall, forward, air, y, forward, vt)
+                cx, cy, ct = imex.float_forces(imex.float_at(i, floats), wall, forward, air, y, forward, vt)
                 ax, ay, at = ax + cx, ay + cy, at - ct
-                height = magnitude(y)
+                height = imex.magnitude(y)
                 peak = where_less(peak, height, height, peak)
             to_float -= 1
             # J (theta'' - x''/r) = moment: axial force turns the node too; the frame's own acceleration does not
             ax, at = ax - slope, at + kappa * ax
-            ox, oy, ot = product(factors, f + A, ex, ey, et)
-            px, py, pt = product(factors, f + B, bx, by, bt)
-            sx, sy, st = product(factors, f + C, aex, aey, aet)
+            ox, oy, ot = imex.product(factors, f + layout.A, (ex, ey, et))
+            px, py, pt = imex.product(factors, f + layout.B, (bx, by, bt))
+            sx, sy, st = imex.product(factors, f + layout.C, (aex, aey, aet))
             node = splat(parameters, float(i))
             vx = where_less(node, held, vx + dt * (ax - (ox + px + sx)), zero)
             vy = where_less(node, held, vy + dt * (ay - (oy + py + sy)), zero)
             vt = where_less(node, held, vt + dt * (at - (ot + pt + st)), zero)
-            store(state, q + VX, vx)
-            store(state, q + VY, vy)
-            store(state, q + VT, vt)
-            store(state, q + X, x + dt * vx)
-            store(state, q + Y, y + dt * vy)
-            store(state, q + T, t + dt * vt)
-            store(state, q + V, where_less(node, held, force, zero))
+            store3(state, q + layout.VX, vx, vy, vt)
+            store(state, q + layout.X, x + dt * vx)
+            store(state, q + layout.Y, y + dt * vy)
+            store(state, q + layout.T, t + dt * vt)
+            store(state, q + layout.V, where_less(node, held, force, zero))
             bx, by, bt = ex, ey, et
             ex, ey, et = aex, aey, aet
             x, y, t, vx, vy, vt = nx, ny, nt, nvx, nvy, nvt
-        store(parameters, PEAK, peak)
-        due -= 1
-        if after_step(parameters, state, inputs, k, step, due, row, points, roots, samples, tension, failed):
+        store(parameters, layout.PEAK, peak)
+        if imex.after_step(parameters, state, inputs, step, sampling, roots, failed):
             return step + 1
-        if due == 0:
-            due = every
-            row += 1
     return len(tops)
 
 

@@ -26,81 +26,53 @@ import math
 import numpy as np
 from numba import njit
 
+from probe_env.physics.methods import lane_group as layout
 from probe_env.physics.methods.factors import imex_factors, linear_weights, single_factors
-from probe_env.physics.methods.lane_group import (
-    AXIAL,
-    CABLE,
-    CABLE_RADIUS,
-    CARRIER_DRAG,
-    CARRIER_GAP,
-    CARRIER_LEVER,
-    COS,
-    COUPLE,
-    CURVATURE,
-    DAMPING,
-    FACTORS,
-    FIELDS,
-    FRICTION,
-    GT,
-    GUIDE_DRAG,
-    GUIDE_GAP,
-    GUIDE_LEVER,
-    GX,
-    GY,
-    MASS_RATIO,
-    PEAK,
-    PRESSURE,
-    ROOT,
-    SENSOR,
-    SIN,
-    STIFFNESS,
-    TENSION,
-    TURN,
-    TURN_FORCE,
-    VT,
-    VX,
-    VY,
-    A,
-    B,
-    C,
-    NodeLanes,
-    T,
-    V,
-    X,
-    Y,
+from probe_env.physics.methods.lanes import (
+    any_less,
+    kernel,
+    load,
+    load3,
+    part,
+    splat,
+    store,
+    store3,
+    traced,
+    where_less,
 )
-from probe_env.physics.methods.lanes import any_less, kernel, load, part, splat, store, traced, where_less
 from probe_env.physics.methods.ticm import LEAVING
 from probe_env.physics.model.drive import AIR, APPEND, INPUTS, SLOPE, SPEED
 from probe_env.physics.model.state import DIVERGED_RADIAL
 
 
 @part
-def after_step(parameters, state, inputs, k, step, due, row, points, roots, samples, tension, failed):
+def after_step(parameters, state, inputs, step, sampling, roots, failed):
     """Sampling, failure and growth after a step; returns True if no lane is running.
 
-    If ``due`` is zero, x, y, theta and V at the nodes ``points`` (p, lanes), -1 for the root, are stored in
-    ``samples`` (rows, p, 4, lanes), and V is added to ``tension`` (n, lanes), unless it is empty. ``failed`` (lanes,)
-    is the step at which a lane diverged, counted from 1, 0 before, -1 for an idle lane. ``roots`` (lanes,) change.
+    ``sampling``: steps until the first sample, steps between samples, nodes ``points`` (p, lanes), -1 for the root,
+    ``samples`` (rows, p, 4, lanes) of x, y, theta and V at these nodes, and ``tension`` (n, lanes), or empty, to which
+    V is added. ``failed`` (lanes,) is the step at which a lane diverged, counted from 1, 0 before, -1 for an idle lane.
+    ``roots`` (lanes,) change.
     """
+    first, every, points, samples, tension = sampling
+    row, k = (step + 1 - first) // every, step * INPUTS
+    due = row >= 0 and step + 1 - first == row * every
     running = 0
     for lane in range(len(failed)):
         if failed[lane] != 0:
             continue
-        if not (abs(state[Y, lane]) <= DIVERGED_RADIAL and parameters[PEAK, lane] <= DIVERGED_RADIAL):
+        if not (abs(state[layout.Y, lane]) <= DIVERGED_RADIAL and parameters[layout.PEAK, lane] <= DIVERGED_RADIAL):
             failed[lane] = step + 1
             continue
         running += 1
-        if due == 0:
+        if due:
             for p in range(len(points)):
                 node = points[p, lane] if points[p, lane] >= 0 else roots[lane]
-                q = node * FIELDS
-                samples[row, p, 0, lane] = state[q + X, lane]
-                samples[row, p, 1, lane] = state[q + Y, lane]
-                samples[row, p, 2, lane] = state[q + T, lane]
-                samples[row, p, 3, lane] = state[min(node, roots[lane] - 1) * FIELDS + V, lane]
+                for field in range(3):
+                    samples[row, p, field, lane] = state[node * layout.FIELDS + field, lane]
+                samples[row, p, 3, lane] = state[min(node, roots[lane] - 1) * layout.FIELDS + layout.V, lane]
             for i in range(min(len(tension), roots[lane])):
-                tension[i, lane] += state[i * FIELDS + V, lane]
+                tension[i, lane] += state[i * layout.FIELDS + layout.V, lane]
         if inputs[k + APPEND, lane] != 0.0:
             move_root(parameters, state, inputs, k, roots, lane)
     return running == 0
@@ -109,28 +81,29 @@ def after_step(parameters, state, inputs, k, step, due, row, points, roots, samp
 @part
 def move_root(parameters, state, inputs, k, roots, lane):
     """``ticm.move_root`` for a lane."""
-    q = roots[lane] * FIELDS
-    length = 2.0 * parameters[SIN, lane] / parameters[CURVATURE, lane]  # of an element, (2)
+    q = roots[lane] * layout.FIELDS
+    length = 2.0 * parameters[layout.SIN, lane] / parameters[layout.CURVATURE, lane]  # of an element, (2)
     if inputs[k + APPEND, lane] > 0.0:
-        x, y = state[q + X, lane], state[q + Y, lane] * math.exp(-length / LEAVING)
+        x, y = state[q + layout.X, lane], state[q + layout.Y, lane] * math.exp(-length / LEAVING)
         roots[lane] += 1
-        q += FIELDS
-        state[q + X, lane], state[q + Y, lane] = x, y
-        state[q + T, lane] = y / LEAVING - parameters[CURVATURE, lane] * x
-        for field in range(VX, FIELDS):
+        q += layout.FIELDS
+        state[q + layout.X, lane], state[q + layout.Y, lane] = x, y
+        state[q + layout.T, lane] = y / LEAVING - parameters[layout.CURVATURE, lane] * x
+        for field in range(layout.VX, layout.FIELDS):
             state[q + field, lane] = 0.0
     elif inputs[k + APPEND, lane] < 0.0:
-        for field in range(FIELDS):
+        for field in range(layout.FIELDS):
             state[q + field, lane] = 0.0
         roots[lane] -= 1
-        for field in range(VX, FIELDS):
-            state[q - FIELDS + field, lane] = 0.0
-    parameters[ROOT, lane] = roots[lane]
+        for field in range(layout.VX, layout.FIELDS):
+            state[q - layout.FIELDS + field, lane] = 0.0
+    parameters[layout.ROOT, lane] = roots[lane]
 
 
 @traced
-def product(factors, f, x, y, t):
-    """(3, 3) matrix at ``f`` times (x, y, t)."""
+def product(factors, f, vector):
+    """(3, 3) matrix at ``f`` times a vector (x, y, t)."""
+    x, y, t = vector
     return (
         load(factors, f) * x + load(factors, f + 1) * y + load(factors, f + 2) * t,
         load(factors, f + 3) * x + load(factors, f + 4) * y + load(factors, f + 5) * t,
@@ -139,8 +112,9 @@ def product(factors, f, x, y, t):
 
 
 @traced
-def less_product(a, b, c, factors, f, x, y, t):
-    """(a, b, c) minus the (3, 3) matrix at ``f`` times (x, y, t)."""
+def less_product(minuend, factors, f, vector):
+    """A vector minus the (3, 3) matrix at ``f`` times another vector."""
+    (a, b, c), (x, y, t) = minuend, vector
     return (
         ((a - load(factors, f + 2) * t) - load(factors, f + 1) * y) - load(factors, f) * x,
         ((b - load(factors, f + 5) * t) - load(factors, f + 4) * y) - load(factors, f + 3) * x,
@@ -151,23 +125,22 @@ def less_product(a, b, c, factors, f, x, y, t):
 @traced
 def solve_node(state, q, factors, f, wx, wy, wt):
     """Back substitution: w of a node from w of its neighbour on the root side."""
-    gx, gy, gt = load(state, q + GX), load(state, q + GY), load(state, q + GT)
-    return less_product(gx, gy, gt, factors, f, wx, wy, wt)
+    return less_product(load3(state, q + layout.GX), factors, f, (wx, wy, wt))
 
 
 @traced
 def move_node(state, q, wx, wy, wt, drift, bounce, reflection):
     """Update the displacement of a node from w; returns its velocity."""
-    ux, uy, ut = wx - load(state, q + X), wy - load(state, q + Y), wt - load(state, q + T)
-    store(state, q + GX, ux)  # motion of the last step, for the direction of friction
-    store(state, q + GT, ut)
-    store(state, q + X, load(state, q + X) + drift * ux)
-    store(state, q + Y, load(state, q + Y) + drift * uy)
-    store(state, q + T, load(state, q + T) + drift * ut)
+    ux, uy, ut = wx - load(state, q + layout.X), wy - load(state, q + layout.Y), wt - load(state, q + layout.T)
+    store(state, q + layout.GX, ux)  # motion of the last step, for the direction of friction
+    store(state, q + layout.GT, ut)
+    store(state, q + layout.X, load(state, q + layout.X) + drift * ux)
+    store(state, q + layout.Y, load(state, q + layout.Y) + drift * uy)
+    store(state, q + layout.T, load(state, q + layout.T) + drift * ut)
     return (
-        bounce * ux - reflection * load(state, q + VX),
-        bounce * uy - reflection * load(state, q + VY),
-        bounce * ut - reflection * load(state, q + VT),
+        bounce * ux - reflection * load(state, q + layout.VX),
+        bounce * uy - reflection * load(state, q + layout.VY),
+        bounce * ut - reflection * load(state, q + layout.VT),
     )
 
 
@@ -194,10 +167,11 @@ def inertia_forces(kappa, couple, forward, vy, t, axial_force, dt):
 @traced
 def load_compressed(parameters):
     """Parameters of the couple and of the cable for ``compressed_forces`` and ``cable_forces``."""
-    limits = load(parameters, PRESSURE), load(parameters, TENSION)
-    couple = load(parameters, COUPLE), load(parameters, TURN), load(parameters, TURN_FORCE), limits
-    radius, stiffness = load(parameters, CABLE_RADIUS), load(parameters, CABLE)
-    return couple, (radius, stiffness, load(parameters, FRICTION) * stiffness, radius * load(parameters, MASS_RATIO))
+    limits = load(parameters, layout.PRESSURE), load(parameters, layout.TENSION)
+    couple = load(parameters, layout.COUPLE), load(parameters, layout.TURN), load(parameters, layout.TURN_FORCE), limits
+    radius, stiffness = load(parameters, layout.CABLE_RADIUS), load(parameters, layout.CABLE)
+    grip, twist = load(parameters, layout.FRICTION) * stiffness, radius * load(parameters, layout.MASS_RATIO)
+    return couple, (radius, stiffness, grip, twist)
 
 
 @traced
@@ -221,20 +195,20 @@ def compressed_forces(kappa, coupling, forward, vy, x, t, axial_force, dt):
 @traced
 def load_wall(parameters):
     """Contact stiffness, coefficient of friction and mass per inertia of the lanes."""
-    return load(parameters, STIFFNESS), load(parameters, FRICTION), load(parameters, MASS_RATIO)
+    return load(parameters, layout.STIFFNESS), load(parameters, layout.FRICTION), load(parameters, layout.MASS_RATIO)
 
 
 @traced
 def load_floats(parameters):
     """Node of the sensor, and lever, gap and drag of the floats of guide and carrier."""
     return (
-        load(parameters, SENSOR),
-        load(parameters, GUIDE_LEVER),
-        load(parameters, CARRIER_LEVER),
-        load(parameters, GUIDE_GAP),
-        load(parameters, CARRIER_GAP),
-        load(parameters, GUIDE_DRAG),
-        load(parameters, CARRIER_DRAG),
+        load(parameters, layout.SENSOR),
+        load(parameters, layout.GUIDE_LEVER),
+        load(parameters, layout.CARRIER_LEVER),
+        load(parameters, layout.GUIDE_GAP),
+        load(parameters, layout.CARRIER_GAP),
+        load(parameters, layout.GUIDE_DRAG),
+        load(parameters, layout.CARRIER_DRAG),
     )
 
 
@@ -319,24 +293,24 @@ def to_root(state, factors, nodes, drive, rates, model, coupling, compressed):
     walls = cable_walls(float_at(0, floats), cable)
     to_float, peak = 0, zero
     for i in range(top + 1):
-        q, f = i * FIELDS, min(i, last) * FACTORS
-        x, y, t = load(state, q + X), load(state, q + Y), load(state, q + T)
-        vx, vy, vt = load(state, q + VX), load(state, q + VY), load(state, q + VT)
+        q, f = i * layout.FIELDS, min(i, last) * layout.FACTORS
+        x, y, t = load3(state, q + layout.X)
+        vx, vy, vt = load3(state, q + layout.VX)
         forward = speed + vx
         if len(compressed) > 0:
-            ax, ay, at = compressed_forces(kappa, compressed_couple, forward, vy, x, t, load(state, q + V), dt)
+            ax, ay, at = compressed_forces(kappa, compressed_couple, forward, vy, x, t, load(state, q + layout.V), dt)
         else:
-            ax, ay, at = inertia_forces(kappa, couple, forward, vy, t, load(state, q + V), dt)
+            ax, ay, at = inertia_forces(kappa, couple, forward, vy, t, load(state, q + layout.V), dt)
         if len(compressed) > 1:  # here, since an else below would make the compiler round the rest otherwise
             if to_float == 0:
                 walls = cable_walls(float_at(i + 1, floats), cable)
             elif any_less(y, walls[0]) or any_less(walls[1], y):
-                slide, turn = speed + rate * load(state, q + GX), rate * load(state, q + GT)
+                slide, turn = speed + rate * load(state, q + layout.GX), rate * load(state, q + layout.GT)
                 cx, cy, ct = cable_forces(walls, cable, y, slide, turn)
                 ax, ay, at = ax + cx, ay + cy, at - ct
         if to_float == 0:
             to_float = per_pitch
-            slide, turn = speed + load(state, q + GX) / tau, load(state, q + GT) / tau
+            slide, turn = speed + load(state, q + layout.GX) / tau, load(state, q + layout.GT) / tau
             cx, cy, ct = float_forces(float_at(i, floats), wall, forward, air, y, slide, turn)
             ax, ay, at = ax + cx, ay + cy, at - ct
             height = magnitude(y)
@@ -345,14 +319,10 @@ def to_root(state, factors, nodes, drive, rates, model, coupling, compressed):
         # J (theta'' - x''/r) = moment: axial force turns the node too; the frame's own acceleration does not
         ax, at = ax - slope, at + kappa * ax
         vx, vy, vt = vx + dt * ax, vy + dt * ay, vt + dt * at
-        ex, ey, et = product(factors, f + A, x + tau * vx, y + tau * vy, t + tau * vt)
-        gx, gy, gt = less_product(ex, ey, et, factors, f + B, gx, gy, gt)
-        store(state, q + VX, vx)
-        store(state, q + VY, vy)
-        store(state, q + VT, vt)
-        store(state, q + GX, gx)
-        store(state, q + GY, gy)
-        store(state, q + GT, gt)
+        pushed = product(factors, f + layout.A, (x + tau * vx, y + tau * vy, t + tau * vt))
+        gx, gy, gt = less_product(pushed, factors, f + layout.B, (gx, gy, gt))
+        store3(state, q + layout.VX, vx, vy, vt)
+        store3(state, q + layout.GX, gx, gy, gt)
     return peak
 
 
@@ -360,27 +330,24 @@ def to_root(state, factors, nodes, drive, rates, model, coupling, compressed):
 def imex_advance(parameters, compressed, factors, state, inputs, tops, bottoms, dt, per_pitch, sampling, roots, failed):
     """Advance all lanes; returns the number of steps.
 
-    ``sampling``: steps until the first sample, steps between samples, and ``points``, ``samples``, ``tension``, which
-    ``after_step`` documents, like ``roots`` and ``failed``.
+    ``sampling``, ``roots`` and ``failed`` as in ``after_step``.
 
     ``compressed`` is a tuple; numba compiles a kernel for each length. Empty: neither of these; one entry:
     the couple counts from the tangent in some lane; two entries: also the cable touches the walls.
     """
-    first, every, points, samples, tension = sampling
     zero = splat(parameters, 0.0)
-    last = len(factors) // FACTORS - 1
-    theta, tau = linear_weights(load(parameters, DAMPING), dt)
+    last = len(factors) // layout.FACTORS - 1
+    theta, tau = linear_weights(load(parameters, layout.DAMPING), dt)
     rate = 1.0 / tau
     drift, bounce, reflection = dt / tau, 1.0 / (tau * theta), (1.0 - theta) / theta
-    kappa, couple = load(parameters, CURVATURE), load(parameters, COUPLE)
+    kappa, couple = load(parameters, layout.CURVATURE), load(parameters, layout.COUPLE)
     floats, wall = load_floats(parameters), load_wall(parameters)
     coupling = load_compressed(parameters)
     low, high = nearest_walls(floats, coupling[1])
     rates, model = (dt, tau, rate), (kappa, couple, floats, wall)
     near = True  # whether cable was near a wall at the end of the last step, so that contact must be checked
-    cosine = load(parameters, AXIAL) * load(parameters, COS)
-    sine = load(parameters, AXIAL) * load(parameters, SIN)
-    row, due = 0, first
+    cosine = load(parameters, layout.AXIAL) * load(parameters, layout.COS)
+    sine = load(parameters, layout.AXIAL) * load(parameters, layout.SIN)
     for step in range(len(tops)):
         k = step * INPUTS
         drive = load(inputs, k + SPEED), load(inputs, k + SLOPE), load(inputs, k + AIR)
@@ -393,47 +360,41 @@ def imex_advance(parameters, compressed, factors, state, inputs, tops, bottoms, 
         # back to the tip: solution and new state; down to the shortest probe's root the lanes are masked
         wx, wy, wt = zero, zero, zero
         least, most = low, high
-        held = load(parameters, ROOT)
+        held = load(parameters, layout.ROOT)
         for back in range(top - bottom + 1):
             i = top - back
-            q = i * FIELDS
+            q = i * layout.FIELDS
             node = splat(parameters, float(i))
-            ux, uy, ut = solve_node(state, q, factors, min(i, last) * FACTORS + C, wx, wy, wt)
-            ux = where_less(node, held, ux, load(state, q + X))
-            uy = where_less(node, held, uy, load(state, q + Y))
-            ut = where_less(node, held, ut, load(state, q + T))
-            store(state, q + V, where_less(node, held, cosine * (ux - wx) + sine * (uy + wy), zero))
+            ux, uy, ut = solve_node(state, q, factors, min(i, last) * layout.FACTORS + layout.C, wx, wy, wt)
+            ux = where_less(node, held, ux, load(state, q + layout.X))
+            uy = where_less(node, held, uy, load(state, q + layout.Y))
+            ut = where_less(node, held, ut, load(state, q + layout.T))
+            store(state, q + layout.V, where_less(node, held, cosine * (ux - wx) + sine * (uy + wy), zero))
             wx, wy, wt = ux, uy, ut
             vx, vy, vt = move_node(state, q, ux, uy, ut, drift, bounce, reflection)
-            store(state, q + VX, where_less(node, held, vx, zero))
-            store(state, q + VY, where_less(node, held, vy, zero))
-            store(state, q + VT, where_less(node, held, vt, zero))
+            store(state, q + layout.VX, where_less(node, held, vx, zero))
+            store(state, q + layout.VY, where_less(node, held, vy, zero))
+            store(state, q + layout.VT, where_less(node, held, vt, zero))
             if len(compressed) > 1:
-                least, most = extended_range(least, most, load(state, q + Y))
+                least, most = extended_range(least, most, load(state, q + layout.Y))
         for back in range(bottom):
             i = bottom - 1 - back
-            q = i * FIELDS
-            ux, uy, ut = solve_node(state, q, factors, min(i, last) * FACTORS + C, wx, wy, wt)
-            store(state, q + V, cosine * (ux - wx) + sine * (uy + wy))
+            q = i * layout.FIELDS
+            ux, uy, ut = solve_node(state, q, factors, min(i, last) * layout.FACTORS + layout.C, wx, wy, wt)
+            store(state, q + layout.V, cosine * (ux - wx) + sine * (uy + wy))
             wx, wy, wt = ux, uy, ut
             vx, vy, vt = move_node(state, q, ux, uy, ut, drift, bounce, reflection)
-            store(state, q + VX, vx)
-            store(state, q + VY, vy)
-            store(state, q + VT, vt)
+            store3(state, q + layout.VX, vx, vy, vt)
             if len(compressed) > 1:
-                least, most = extended_range(least, most, load(state, q + Y))
+                least, most = extended_range(least, most, load(state, q + layout.Y))
         near = len(compressed) > 1 and (any_less(least, low) or any_less(high, most))
-        store(parameters, PEAK, peak)
-        due -= 1
-        if after_step(parameters, state, inputs, k, step, due, row, points, roots, samples, tension, failed):
+        store(parameters, layout.PEAK, peak)
+        if after_step(parameters, state, inputs, step, sampling, roots, failed):
             return step + 1
-        if due == 0:
-            due = every
-            row += 1
     return len(tops)
 
 
-class Imex(NodeLanes):
+class Imex(layout.NodeLanes):
     """Implicit-explicit method: linear part implicit, contact, friction and drag explicit; groups of four probes."""
 
     name = "imex"
@@ -454,3 +415,8 @@ class Imex32(Imex):
     precision = np.float32
     simulates_withdrawal = False
     factors = staticmethod(single_factors)
+
+    @property
+    def in_double(self) -> Imex:
+        """See ``Method.in_double``."""
+        return Imex()

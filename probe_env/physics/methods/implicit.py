@@ -35,7 +35,7 @@ from numba import njit
 
 from probe_env.arrays import FloatArray
 from probe_env.physics.methods.factors import LONG_STEP, implicit_weights
-from probe_env.physics.methods.method import Lane, Method
+from probe_env.physics.methods.method import KernelArguments, Method
 from probe_env.physics.methods.ticm import (
     DIVERGED,
     FASTMATH,
@@ -425,7 +425,12 @@ class Implicit(Method):
         return chain, weights, couple_limits(chain, nodes_per_pitch), contact_walls(chain), weighed
 
     def run(
-        self, lanes: Sequence[Lane], time_step: float, nodes_per_pitch: int, first_sample: int, sample_every: int
+        self,
+        lanes: Sequence[KernelArguments],
+        time_step: float,
+        nodes_per_pitch: int,
+        first_sample: int,
+        sample_every: int,
     ) -> float:
         """See ``Method.run``; the group is one probe."""
         (lane,) = lanes

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from probe_env.arrays import FloatArray
 from probe_env.physics.methods.lanes import lane_count
-from probe_env.physics.methods.method import Lane, Method
+from probe_env.physics.methods.method import KernelArguments, Method
 from probe_env.physics.model.chain import Chain
 from probe_env.physics.model.drive import APPEND, INPUTS
 
@@ -97,7 +97,12 @@ class NodeLanes(LaneMethod):
         return lane_parameters(chain, sensor, nodes_per_pitch), self.factors(chain, time_step)
 
     def run(
-        self, lanes: Sequence[Lane], time_step: float, nodes_per_pitch: int, first_sample: int, sample_every: int
+        self,
+        lanes: Sequence[KernelArguments],
+        time_step: float,
+        nodes_per_pitch: int,
+        first_sample: int,
+        sample_every: int,
     ) -> float:
         """See ``Method.run``."""
         width, precision = self.width, self.precision
@@ -155,7 +160,7 @@ class LaneGroup(NamedTuple):
     failed: npt.NDArray[np.int64]
 
     @classmethod
-    def pack(cls, lanes: Sequence[Lane], width: int, precision: npt.DTypeLike) -> LaneGroup:
+    def pack(cls, lanes: Sequence[KernelArguments], width: int, precision: npt.DTypeLike) -> LaneGroup:
         """Pack probes into the first lanes with a floating-point type."""
         parameters = np.zeros((PARAMETERS, width), dtype=precision)
         parameters[DAMPING] = 1.0  # idle lanes divide by it
@@ -174,13 +179,13 @@ class LaneGroup(NamedTuple):
         held[1:] += np.cumsum(self.inputs[:, APPEND, :used], axis=0).astype(np.int64)
         return held
 
-    def scratch(self, lanes: Sequence[Lane], rows: int) -> tuple[FloatArray, FloatArray]:
+    def scratch(self, lanes: Sequence[KernelArguments], rows: int) -> tuple[FloatArray, FloatArray]:
         """Samples (k, p, 4, width), and sums of tension (rows, width), or (0, width) if no probe requests them."""
         first, width = lanes[0], len(self.roots)
         rows = rows if any(len(lane.tension_sum) for lane in lanes) else 0
         return np.zeros((len(first.samples), len(first.points), 4, width)), np.zeros((rows, width))
 
-    def unpack(self, lanes: Sequence[Lane], samples: FloatArray) -> None:
+    def unpack(self, lanes: Sequence[KernelArguments], samples: FloatArray) -> None:
         """Store roots, samples and failures of a kernel in the probes."""
         for k, lane in enumerate(lanes):
             lane.root, lane.failed = int(self.roots[k]), int(self.failed[k])

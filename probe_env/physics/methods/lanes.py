@@ -25,9 +25,11 @@ from numba import njit, types
 from numba.core import cgutils
 from numba.extending import lower_builtin, models, register_model, type_callable
 
-kernel = njit(cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True)
+compiled: Any = njit  # numba's annotations lack some of its options
+kernel = compiled(cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True)
 """Decorator of functions that are called from Python."""
-part = njit(nogil=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+PART = {"nogil": True, "error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+part = compiled(**PART)
 """Decorator of functions that are called from kernels only; without a wrapper for Python they compile faster."""
 REGISTER = 32  # bytes
 _IR: dict[types.Type, ir.Type] = {
@@ -92,10 +94,9 @@ class Value:
 def _operator(symbol: str, real: str, whole: str | None) -> Callable[[Any, Any], Value]:
     def operation(a: Any, b: Any) -> Value:
         both = [value for value in (a, b) if isinstance(value, Value)]
-        type_ = next((value.type for value in both if isinstance(value.type, LanesType)), None)
-        if type_ is None:
-            floats = any(isinstance(value, float) or getattr(value, "type", None) == types.float64 for value in (a, b))
-            type_ = types.float64 if floats else types.intp
+        floats = any(isinstance(value, float) or getattr(value, "type", None) == types.float64 for value in (a, b))
+        scalar = types.float64 if floats else types.intp
+        type_: Any = next((value.type for value in both if isinstance(value.type, LanesType)), scalar)
         builder, arguments = both[0].builder, [both[0].cast(value, type_) for value in (a, b)]
         flags = ("contract",) if isinstance(type_, LanesType) else ()
         emitted = (
@@ -137,8 +138,9 @@ def _lowering(function: Callable[..., Any]) -> Any:
 def _values(builder: Any, type_: types.Type, value: Any, context: Any) -> Any:
     """An argument as ``Value`` or tuple of values; undefined without a context, to find the type of a result."""
     if isinstance(type_, types.BaseTuple):
-        parts = [value if context is None else builder.extract_value(value, k) for k in range(len(type_))]
-        return tuple(_values(builder, part, at, context) for part, at in zip(type_, parts, strict=True))
+        parts: Any = enumerate(type_)
+        extract = (lambda k: None) if context is None else lambda k: builder.extract_value(value, k)
+        return tuple(_values(builder, part, extract(k), context) for k, part in parts)
     if isinstance(type_, types.Array):
         pointer = LanesType(type_.dtype).vector.as_pointer()
         if context is None:
@@ -152,7 +154,7 @@ def _values(builder: Any, type_: types.Type, value: Any, context: Any) -> Any:
     return Value(builder, type_, ir.Constant(type_.vector, ir.Undefined) if context is None else value)
 
 
-def _type_of(result: Any) -> types.Type:
+def _type_of(result: Any) -> Any:
     if isinstance(result, tuple):
         return types.BaseTuple.from_types(tuple(_type_of(part) for part in result))
     return types.void if result is None else result.type
@@ -180,6 +182,20 @@ def store(array, row, value):
 
 
 @traced
+def load3(array, row):
+    """Three rows from ``row`` on."""
+    return load(array, row), load(array, row + 1), load(array, row + 2)
+
+
+@traced
+def store3(array, row, x, y, t):
+    """Write three rows from ``row`` on."""
+    store(array, row, x)
+    store(array, row + 1, y)
+    store(array, row + 2, t)
+
+
+@traced
 def splat(like, value):
     """The same number in every lane; ``like`` is a lanes value or an array of rows."""
     lanes = like.type if isinstance(like.type, LanesType) else LanesType(like.type.dtype)
@@ -199,6 +215,18 @@ def square_root(value):
     name = f"llvm.sqrt.v{vector.count}{vector.element.intrinsic_name}"
     function = cgutils.get_or_insert_function(value.builder.module, ir.FunctionType(vector, [vector]), name)
     return value.of(value.builder.call(function, [value.ir]))
+
+
+@traced
+def multiply_add(a, b, c):
+    """A b + c; processors with fused multiply-add do not round a b.
+
+    In the sum of two products the compiler chooses which is not rounded, which may differ between kernels.
+    """
+    vector = a.type.vector
+    name = f"llvm.fmuladd.v{vector.count}{vector.element.intrinsic_name}"
+    function = cgutils.get_or_insert_function(a.builder.module, ir.FunctionType(vector, [vector] * 3), name)
+    return a.of(a.builder.call(function, [a.ir, b.ir, c.ir]))
 
 
 @traced
@@ -229,7 +257,7 @@ from_ahead = _neighbours(1)
 def _in_kernels(symbol: Any, operation: Any) -> None:
     """Arithmetic of lanes in functions that numba compiles."""
 
-    @type_callable(symbol)  # type: ignore[untyped-decorator]
+    @type_callable(symbol)
     def typed(typing_context: Any) -> Any:
         def result(a: Any, b: Any) -> Any:
             lanes = a if isinstance(a, LanesType) else b

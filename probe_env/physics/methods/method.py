@@ -18,7 +18,7 @@ from probe_env.scene import Scene
 
 
 @dataclass
-class Lane:
+class KernelArguments:
     """One probe, argument of ``Method.run``; all but ``constants``, ``inputs`` and ``points`` change in place.
 
     Attributes:
@@ -75,8 +75,18 @@ class Method(ABC):
 
     @property
     def width(self) -> int:
-        """Most probes in a group."""
+        """Largest number of probes in a group."""
         return 1
+
+    @property
+    def in_double(self) -> Method:
+        """The same method in double precision."""
+        return self
+
+    @property
+    def on_nodes_as(self) -> Method:
+        """The method with nodes between floats, in the same precision, that replaces this one."""
+        return self
 
     def stable_step(self, scene: Scene, nodes_per_pitch: int) -> float:
         """Largest step [s] known to be stable; 0 if none is known, as for methods that were not measured."""
@@ -114,7 +124,12 @@ class Method(ABC):
 
     @abstractmethod
     def run(
-        self, lanes: Sequence[Lane], time_step: float, nodes_per_pitch: int, first_sample: int, sample_every: int
+        self,
+        lanes: Sequence[KernelArguments],
+        time_step: float,
+        nodes_per_pitch: int,
+        first_sample: int,
+        sample_every: int,
     ) -> float:
         """Advance up to ``width`` probes of one kind by the rows of their inputs.
 

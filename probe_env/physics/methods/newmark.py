@@ -1,18 +1,17 @@
-"""Newmark-beta and Wilson-theta, the methods of the study: coefficients, scratch arrays, and steps with any solver."""
+"""Newmark-beta and Wilson-theta, the methods of the study: coefficients and scratch arrays."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from probe_env.arrays import FloatArray
 from probe_env.physics.methods import ticm
-from probe_env.physics.methods.method import Lane, Method
+from probe_env.physics.methods.method import KernelArguments, Method
 from probe_env.physics.model.chain import Chain
-from probe_env.physics.model.state import State
 
 
 class Scheme(NamedTuple):
@@ -66,58 +65,37 @@ def workspace(nodes: int) -> Workspace:
     return Workspace(np.zeros((nodes, 6)), np.zeros((nodes, 3)), np.zeros((nodes, 9)), np.zeros((nodes, 3)))
 
 
-Step = Callable[[FloatArray, int, State, Workspace], int]
-"""(inputs of a step, root, state, work) -> first diverged node or -1."""
-Solver = Callable[[Chain, Scheme], Step]
-"""A solver of the linear system (17)-(18), constant matrices prepared."""
-
-
 class Newmark(Method):
-    """Newmark's method, beta 1/4 and gamma 1/2.
-
-    Args:
-        solver: of the linear system of a step; default: the TICM, in one compiled loop.
-    """
+    """Newmark's method, beta 1/4 and gamma 1/2; the linear system of a step is solved by the TICM."""
 
     name = "newmark"
     order = 2
     usual_step = 1e-4
     scheme: Callable[[float], Scheme] = staticmethod(newmark)
 
-    def __init__(self, solver: Solver | None = None) -> None:
-        self.solver = solver
-
-    def constants(
-        self, chain: Chain, sensor: int, nodes_per_pitch: int, time_step: float
-    ) -> tuple[Chain, Scheme, Step | None]:
-        """Chain, coefficients and, with a solver, its step."""
-        scheme = self.scheme(time_step)
-        return chain, scheme, self.solver(chain, scheme) if self.solver else None
+    def constants(self, chain: Chain, sensor: int, nodes_per_pitch: int, time_step: float) -> tuple[Chain, Scheme]:
+        """Chain and coefficients."""
+        return chain, self.scheme(time_step)
 
     def run(
-        self, lanes: Sequence[Lane], time_step: float, nodes_per_pitch: int, first_sample: int, sample_every: int
+        self,
+        lanes: Sequence[KernelArguments],
+        time_step: float,
+        nodes_per_pitch: int,
+        first_sample: int,
+        sample_every: int,
     ) -> float:
         """See ``Method.run``; the group is one probe."""
         (lane,) = lanes
-        chain, scheme, step = lane.constants
-        tension_sum = lane.tension_sum if len(lane.tension_sum) else np.zeros(chain.node_count)
-        work, sampling = workspace(chain.node_count), (lane.points, lane.samples, tension_sum)
+        nodes = len(lane.state.d)
+        tension_sum = lane.tension_sum if len(lane.tension_sum) else np.zeros(nodes)
         begin = time.perf_counter()
-        if step is None:
-            status, done, _, lane.root = ticm.advance(
-                chain, scheme, lane.inputs, lane.root, lane.state, work, first_sample, sample_every, *sampling
-            )
-            lane.failed = done if status == ticm.DIVERGED else 0
-        else:  # the same loop in Python, for solvers that are not fused with it
-            for k, step_inputs in enumerate(lane.inputs):
-                if step(step_inputs, lane.root, lane.state, work) >= 0:
-                    lane.failed = k + 1
-                    break
-                lane.root = ticm.move_root(chain, step_inputs, lane.root, lane.state)
-                row, left = divmod(k + 1 - first_sample, sample_every)
-                if row >= 0 and left == 0:
-                    points, samples, tensions = sampling
-                    ticm.record(lane.state, lane.root, points, samples, row, tensions)
+        arguments: Any = (
+            *lane.constants, lane.inputs, lane.root, lane.state, workspace(nodes), first_sample, sample_every,
+            lane.points, lane.samples, tension_sum,
+        )  # fmt: skip
+        status, done, _, lane.root = ticm.advance(*arguments)
+        lane.failed = done if status == ticm.DIVERGED else 0
         return time.perf_counter() - begin
 
 

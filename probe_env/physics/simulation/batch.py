@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Hashable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, Final, Unpack
+from typing import Final, Unpack
 
 import numpy as np
 import numpy.typing as npt
@@ -13,9 +13,7 @@ import numpy.typing as npt
 from probe_env.arrays import FloatArray
 from probe_env.machine import available_cores
 from probe_env.physics.methods.method import Method
-from probe_env.physics.model.state import check_array
 from probe_env.physics.simulation.run import CHANNELS, Samples, check_size
-from probe_env.physics.simulation.saved import FORMAT, check_format, check_names, check_types
 from probe_env.physics.simulation.signals import window_statistics
 from probe_env.physics.simulation.simulator import Options, Simulator, advance_group
 from probe_env.physics.simulation.window import Window
@@ -94,39 +92,6 @@ class SimulatorBatch:
         return (
             f"<SimulatorBatch of {len(self)} by {self.method.name}, step {self.time_step:g} s, {self.threads} threads>"
         )
-
-    def snapshot(self) -> dict[str, Any]:
-        """A copy of everything that changes with time, for ``restore``, and the arguments of the probes."""
-        probes = [s.snapshot() for s in self.simulators]
-        return {"format": FORMAT, "probes": probes, "before": [before.copy() for before in self._before]}
-
-    def restore(self, snapshot: Mapping[str, Any]) -> None:
-        """Restore a snapshot of this batch, or of one with equal probes in the same order.
-
-        Raises:
-            ValueError: not such a snapshot; names the probe and the field. The batch is unchanged.
-        """
-        saved = check_names("snapshot", check_format("snapshot", snapshot), ("format", "probes", "before"))
-        for name in ("probes", "before"):
-            check_types("snapshot", saved, {name: list})
-            if len(saved[name]) != len(self):
-                raise ValueError(f"snapshot: {len(saved[name])} {name}; here are {len(self)}")
-        for k, (simulator, state, before) in enumerate(
-            zip(self.simulators, saved["probes"], saved["before"], strict=True)
-        ):
-            simulator.validate_snapshot(state, f"snapshot: probe {k}")
-            check_array(f"snapshot: before[{k}]", before, (2, 3))
-        for simulator, state in zip(self.simulators, saved["probes"], strict=True):
-            simulator.restore(state)
-        self._before = [before.copy() for before in saved["before"]]
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {"format": FORMAT} | self.__dict__
-
-    def __setstate__(self, saved: Mapping[str, Any]) -> None:
-        state = dict(check_format("pickled SimulatorBatch", saved))
-        del state["format"]
-        self.__dict__.update(state)
 
     def branch(self, which: Sequence[int], scenes: Mapping[int, Scene] | None = None) -> SimulatorBatch:
         """A batch of independent copies of some probes in their present state, for predictions.
@@ -238,7 +203,6 @@ class SimulatorBatch:
         for k in running:  # before any advances: the kernels check no bounds
             try:
                 self.simulators[k].check_fits()
-                check_array("before", self._before[k], (2, 3))
             except ValueError as error:
                 raise ValueError(f"probe {k}: {error}") from error
         return running

@@ -5,20 +5,19 @@ from __future__ import annotations
 import copy
 import math
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, Final, Literal, TypedDict, Unpack
 
 import numpy as np
 
 from probe_env.arrays import FloatArray
 from probe_env.errors import SimulationError, StabilityWarning
-from probe_env.physics.methods import check_scene, check_step, method_named, names_of
-from probe_env.physics.methods.method import Lane, Method
+from probe_env.physics.methods import check_scene, check_step, method_named, method_names
+from probe_env.physics.methods.method import KernelArguments, Method
 from probe_env.physics.model.chain import air_speed, build_chain, drag_factors, outer_start, sensor_node
 from probe_env.physics.model.drive import Drive
-from probe_env.physics.model.state import State, at_rest, check_points, check_state
+from probe_env.physics.model.state import at_rest, check_points, check_state
 from probe_env.physics.simulation.run import Recorder, Run, Samples, node_of, progress_bar, snapshot_steps
-from probe_env.physics.simulation.saved import FORMAT, check_format, check_names, check_same, check_types
 from probe_env.scene import Scene
 from probe_env.settings import check_keywords, whole_steps, within
 
@@ -29,7 +28,6 @@ STEPS_PER_CALL: Final = 2000
 class Options(TypedDict, total=False):
     """Options of the start and the feed of a probe, documented in ``Simulator``."""
 
-    solver: str
     growing: bool
     time_lapse: float
     ramp: float
@@ -39,7 +37,7 @@ class Options(TypedDict, total=False):
 
 
 DEFAULTS: Final[Options] = {
-    "solver": "ticm", "growing": False, "time_lapse": 1.0, "ramp": math.inf, "air_lag": 0.0, "perturbation": 0.0,
+    "growing": False, "time_lapse": 1.0, "ramp": math.inf, "air_lag": 0.0, "perturbation": 0.0,
     "start": "inner",
 }  # fmt: skip
 
@@ -71,7 +69,7 @@ def advance_group(simulators: Sequence[Simulator], samples: Sequence[Samples], d
             constants = s.constants_in_air()
             inputs = s.drive.inputs_of_steps(count, time_step, s.chain.element_length, room, spare)
             rows = record.rows[first // every : (first + count) // every]  # to be filled in this call
-            lanes.append(Lane(constants, s.state, s.root, inputs, record.points, rows, record.tension_sum))
+            lanes.append(KernelArguments(constants, s.state, s.root, inputs, record.points, rows, record.tension_sum))
         seconds += simulators[0].method.run(lanes, time_step, nodes_per_pitch, every - first % every, every)
         for (s, _), lane in zip(running, lanes, strict=True):
             s.steps_done += lane.failed or count
@@ -100,8 +98,7 @@ class Simulator:
             ``StabilityWarning``.
         nodes_per_pitch: nodes in one float pitch, >= 1; the study has 4.
         seed: of the perturbation.
-        options: ``solver`` of the linear system of a step: "ticm" (default), "banded" (LAPACK) or "transfer-matrix";
-            ``growing`` (default False): append nodes at the root as cable enters, up to the end of the helix;
+        options: ``growing`` (default False): append nodes at the root as cable enters, up to the end of the helix;
             ``time_lapse`` (default 1, real time): length fed in per length travelled, >= 1: the length grows faster
             than the feed speed, which the dynamics keep;
             ``ramp`` (default: no limit): greatest change of the feed speed [m/s2];
@@ -116,12 +113,8 @@ class Simulator:
         TypeError: unknown option.
     """
 
-    BUILT: Final = ("method", "solver", "time_step", "nodes_per_pitch", "growing", "time_lapse", "ramp", "air_lag")
-    """Arguments that, with the scene, must be equal for a snapshot to be restored."""
-    FIXED: Final = frozenset(BUILT) | {
-        "scene", "perturbation", "seed", "start", "chain", "sensor", "stable_time_step", "_start_root", "constants",
-    }  # fmt: skip
-    """Attributes that do not change after the constructor; all others are in a snapshot."""
+    CHANGING: Final = ("state", "drive", "steps_done", "root", "iterations", "unconverged_steps", "_error")
+    """Attributes that change with time."""
 
     def __init__(
         self,
@@ -135,7 +128,7 @@ class Simulator:
     ) -> None:
         check_keywords(type(self).__name__, options, DEFAULTS)
         settings = DEFAULTS | options
-        self.method: Final = method_named(method, settings["solver"])
+        self.method: Final = method_named(method)
         within("time_step", time_step, 0.0, 1.0, "s", exclude_low=True)
         check_step(self.method, time_step)
         check_scene(self.method, scene)
@@ -148,7 +141,7 @@ class Simulator:
         whole = not isinstance(nodes_per_pitch, bool) and nodes_per_pitch == int(nodes_per_pitch)
         if not (whole and 1 <= nodes_per_pitch <= 64):
             raise ValueError(f"nodes_per_pitch = {nodes_per_pitch!r} is not a whole number from 1 to 64")
-        self.scene, self.solver = scene, settings["solver"]
+        self.scene = scene
         self.time_step, self.nodes_per_pitch = float(time_step), int(nodes_per_pitch)
         self.growing, self.time_lapse = settings["growing"], settings["time_lapse"]
         self.ramp, self.air_lag = settings["ramp"], settings["air_lag"]
@@ -203,11 +196,10 @@ class Simulator:
             ValueError: the state does not fit the scene: another mesh or length.
         """
         if scene is None:
-            new = object.__new__(type(self))
-            new.__dict__.update(self.__dict__)
+            new = copy.copy(self)
         else:
             new = Simulator(
-                scene, self.method, self.time_step, self.nodes_per_pitch, solver=self.solver, growing=self.growing,
+                scene, self.method, self.time_step, self.nodes_per_pitch, growing=self.growing,
                 time_lapse=self.time_lapse, ramp=self.ramp, air_lag=self.air_lag, perturbation=self.perturbation,
                 seed=self.seed, start=self.start,
             )  # fmt: skip
@@ -218,7 +210,7 @@ class Simulator:
                 raise ValueError(
                     f"scene: {sizes[0]}, sensor at node {new.sensor}; the state has {sizes[1]}, at {self.sensor}"
                 )
-        new.__dict__.update(copy.deepcopy(self._changing()))
+        new.__dict__.update(copy.deepcopy({name: getattr(self, name) for name in self.CHANGING}))
         return new
 
     def hold_length(self) -> None:
@@ -242,56 +234,6 @@ class Simulator:
     def follow_length(self) -> None:
         """Change the length by the feed, without time-lapse, if the probe is growing."""
         self.drive.growth = 1.0 if self.growing else 0.0
-
-    def snapshot(self) -> dict[str, Any]:
-        """A copy of everything that changes with time, for ``restore``, and the arguments of the constructor."""
-        return {"format": FORMAT, "built": self._built(), "changing": copy.deepcopy(self._changing())}
-
-    def restore(self, snapshot: Mapping[str, Any]) -> None:
-        """Restore a snapshot of this simulator or of one with equal arguments; the run continues with equal bits.
-
-        ``perturbation`` and ``seed`` may differ, because only ``reset`` uses them.
-
-        Raises:
-            ValueError: not a snapshot, another version, or other arguments; names the field, its value and the accepted
-                one. The simulator is unchanged.
-        """
-        self.__dict__.update(copy.deepcopy(self.validate_snapshot(snapshot)))
-
-    def validate_snapshot(self, snapshot: Mapping[str, Any], what: str = "snapshot") -> Mapping[str, Any]:
-        """The changing part of a snapshot, after checks; errors call the snapshot ``what``."""
-        snapshot = check_names(what, check_format(what, snapshot), ("format", "built", "changing"))
-        check_same(what, snapshot["built"], self._built())
-        changing = check_names(f"{what}: changing", snapshot["changing"], self._changing())
-        self._check_changing(what, changing)
-        return changing
-
-    def _built(self) -> dict[str, Any]:
-        built = {name: getattr(self, name) for name in self.BUILT}
-        return built | {"method": self.method.name, "scene": self.scene.model_dump()}
-
-    def _changing(self) -> dict[str, Any]:
-        """All attributes that are not declared as fixed, so that a new attribute is saved by default."""
-        return {name: value for name, value in self.__dict__.items() if name not in self.FIXED}
-
-    def __getstate__(self) -> dict[str, Any]:
-        """All attributes but the constants of the kernel, which are computed again."""
-        return {"format": FORMAT} | {name: value for name, value in self.__dict__.items() if name != "constants"}
-
-    def __setstate__(self, saved: Mapping[str, Any]) -> None:
-        state = dict(check_format(f"pickled {type(self).__name__}", saved))
-        del state["format"]
-        self.__dict__.update(state)
-        self.constants = self._constants()
-
-    def _check_changing(self, what: str, changing: Mapping[str, Any]) -> None:
-        counts = ("steps_done", "root", "iterations", "unconverged_steps")
-        check_types(what, changing, {"state": State, "drive": Drive} | dict.fromkeys(counts, int))
-        check_names(f"{what}: drive", vars(changing["drive"]), vars(self.drive))
-        nodes, memory = self.chain.node_count, self.method.memory
-        check_state(changing["state"], changing["root"], nodes, memory, f"{what}: state")
-        if not isinstance(changing["_error"], SimulationError | None):
-            raise ValueError(f"{what}: _error = {changing['_error']!r} is not a SimulationError or None")
 
     def _constants(self) -> Any:
         return self.method.constants(self.chain, self.sensor, self.nodes_per_pitch, self.time_step)
@@ -443,7 +385,7 @@ class Simulator:
                 continue
             within(name, value, -most, most, unit)
             if value < 0.0 and not self.method.simulates_withdrawal:
-                able = names_of(lambda method: method.simulates_withdrawal)
+                able = method_names(lambda method: method.simulates_withdrawal)
                 raise ValueError(
                     f"{name} = {value!r} {unit}: {self.method.name} does not simulate withdrawal; use {able}"
                 )
@@ -463,7 +405,7 @@ class Simulator:
             self.drive.air_speed_target = air_speed(self.scene, float(air_supply_rate))
 
     def set_friction(self, friction: float) -> None:
-        """Change the coefficient of friction; a snapshot does not contain it.
+        """Change the coefficient of friction.
 
         Raises:
             ValueError: out of range.

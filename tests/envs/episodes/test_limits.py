@@ -16,7 +16,7 @@ from probe_env.envs.episodes.starts import EpisodeSampler
 from probe_env.envs.task import TaskConfig
 from probe_env.envs.trials import HARDEST, sections_of
 from probe_env.fidelity import PRESETS
-from probe_env.physics.methods import METHODS, ON_NODES
+from probe_env.physics.methods import METHODS
 from probe_env.physics.methods.stability import FULL
 from probe_env.schedule import Schedule
 
@@ -115,8 +115,8 @@ def test_shipped_tubes_and_designs_are_accepted():
 def test_fidelity_in_the_error_message_is_stable(stiffness, preset):
     fidelity, scene = preset, Scene(carrier_length=5.0, contact={"stiffness": stiffness})
     limit = FULL / math.sqrt(stiffness / (0.111 * 0.025))
-    if fidelity.method in ON_NODES:
-        assert METHODS[fidelity.method].contact_step(scene, 4) == pytest.approx(limit)
+    if fidelity.method.on_nodes:
+        assert fidelity.method.contact_step(scene, 4) == pytest.approx(limit)
     if fidelity.time_step > limit:
         with pytest.raises(ValueError, match="give fidelity = ") as error:
             check_simulable(scene, fidelity, 7.5, MOST_AIR)
@@ -133,7 +133,7 @@ def test_auto_selects_a_step_that_is_stable_for_all_samples():
         episodes = gym.make(env_id, fidelity="auto", probes=probes).unwrapped.episodes
         stiffest = Context(contact_stiffness=1.4e5)
         scene = episodes.sampler.build(stiffest, {"probe": HARDEST[0].built.model_dump()} if probes == "random" else {})
-        assert episodes.fidelity.time_step <= METHODS[episodes.fidelity.method].contact_step(scene, 4)
+        assert episodes.fidelity.time_step <= episodes.fidelity.method.contact_step(scene, 4)
     soft = gym.make("probe_env/Snapshot-v1", fidelity="auto", scene=Scene(contact={"stiffness": 1e4}))
     soft.reset(seed=0)  # contexts set the stiffness: the scene's own 1e4 N/m would have allowed 5e-4 s
     assert DesignEnv(fidelity="auto").fidelity.time_step <= METHODS["imex"].contact_step(
@@ -188,7 +188,7 @@ def extreme(rng):
 def test_an_accepted_step_is_known_to_be_stable(fidelity, stiffness):
     """No warning between the longest step known to be stable and the limit of contact."""
     env = gym.make("probe_env/Snapshot-v1", fidelity=fidelity)
-    known = METHODS[fidelity.method].stable_step(Scene(contact={"stiffness": stiffness}), 4)
+    known = fidelity.method.stable_step(Scene(contact={"stiffness": stiffness}), 4)
     if fidelity.time_step <= known:
         env.reset(seed=0, options={"contact_stiffness": stiffness})  # warnings are errors here
     else:

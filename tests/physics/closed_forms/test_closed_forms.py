@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from oracles.chains import integrate, plain_chain
+from oracles.chains import integrate, uniform_chain
 from scipy.signal import find_peaks
 
 from probe_env import Scene, Simulator
@@ -16,7 +16,7 @@ from probe_env.physics.methods.newmark import newmark
 def test_discrete_axial_frequencies(mode):
     """Newmark turns a mode by 2 atan(omega dt / 2) a step, exactly; what is left is rounding."""
     N, dt, steps = 30, 2e-5, 2000
-    chain = plain_chain(N)
+    chain = uniform_chain(N)
     stiffness = 1.0 / chain.axial_compliance
     omega = 2.0 * math.sqrt(stiffness / chain.mass) * math.sin((2 * mode - 1) * math.pi / (2 * (2 * N + 1)))
     from_root = np.arange(N, -1, -1)
@@ -38,7 +38,7 @@ def test_cantilever_frequencies(mode, beta_L):
     second order in beta h.
     """
     N = 60
-    chain = plain_chain(N)
+    chain = uniform_chain(N)
     h, EI, density = chain.element_length, 4.8e-2, 0.111
     length = N * h
     beta = beta_L / length
@@ -81,7 +81,7 @@ def test_point_mass_on_the_contact_spring(wall):
     half of that of its speed, as it comes and as it goes.
     """
     k, gap, v0 = 1e5, 5e-3, 0.05
-    chain = plain_chain(1, contact_stiffness=np.array([k, 0.0]), outer_gap=np.array([gap, np.inf]))
+    chain = uniform_chain(1, contact_stiffness=np.array([k, 0.0]), outer_gap=np.array([gap, np.inf]))
     chain = chain._replace(axial_compliance=1e6, shear_compliance=1e6, bending_compliance=1e6, coupling_compliance=0.0)
     omega = math.sqrt(k / chain.mass)
     d, v = np.zeros((2, 3)), np.zeros((2, 3))
@@ -103,7 +103,7 @@ def test_coulomb_oscillator_loses_a_fixed_amplitude():
     support[0, 0] = k_x
     load = np.zeros((2, 3))
     load[0, 1] = -normal
-    chain = plain_chain(
+    chain = uniform_chain(
         1, contact_stiffness=np.array([1e5, 0.0]), friction=mu, support_stiffness=support, load=load
     )._replace(axial_compliance=1e9, shear_compliance=1e9, bending_compliance=1e9, coupling_compliance=0.0)
     d = np.zeros((2, 3))

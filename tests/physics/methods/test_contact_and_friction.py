@@ -3,14 +3,14 @@
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from oracles.chains import plain_chain
+from oracles.chains import uniform_chain
 
 from probe_env.physics.methods import ticm
 from probe_env.physics.methods.newmark import newmark, workspace
 from probe_env.physics.model.state import at_rest
 
 K, MU, GAP, LEVER, FEED = 1e5, 0.15, 5.2e-3, 9.5e-3, 0.2
-CHAIN = plain_chain(1, contact_stiffness=np.array([K, 0.0]), outer_gap=np.full(2, GAP), lever=np.full(2, LEVER))
+CHAIN = uniform_chain(1, contact_stiffness=np.array([K, 0.0]), outer_gap=np.full(2, GAP), lever=np.full(2, LEVER))
 CHAIN = CHAIN._replace(friction=MU)
 INPUTS = np.array([FEED, 0.0, 0.0, 0.0, 1.0])
 

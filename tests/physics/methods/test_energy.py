@@ -1,14 +1,14 @@
 """Energy of passive chains: constant without damping, decreasing with it."""
 
 import numpy as np
-from oracles.chains import advance, bent, energy, matrices, plain_chain
+from oracles.chains import advance, bent, energy, matrices, uniform_chain
 
 from probe_env.physics.methods import ticm
 from probe_env.physics.methods.newmark import newmark, workspace
 from probe_env.physics.model.state import at_rest
 
 N, STEPS, CHUNKS, TIME_STEP = 100, 20_000, 20, 1e-4
-PASSIVE = bent(plain_chain(N))
+PASSIVE = bent(uniform_chain(N))
 
 
 def energies(chain):

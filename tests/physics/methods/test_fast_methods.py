@@ -6,7 +6,7 @@ import warnings
 
 import numpy as np
 import pytest
-from oracles.chains import plain_chain
+from oracles.chains import uniform_chain
 from oracles.orders import observed_order
 from oracles.scatter import DEVIATIONS, deviation, reach
 
@@ -84,7 +84,7 @@ def test_single_precision_keeps_60_m_of_cable_free():
     """Rounding ties every node to the frame: of table 2's cable it shifts the first axial mode by up to 8 %."""
     nodes, lost, kept = 2400, [], []
     for damping_time, time_step in itertools.product((0.0, 5e-5), (5e-5, 1e-4, 2e-4)):
-        chain = plain_chain(4, damping_time=damping_time)
+        chain = uniform_chain(4, damping_time=damping_time)
         exact = imex_factors(chain, time_step)
         truth = first_axial_frequency(exact, chain, time_step, nodes)
         wave = np.sqrt(1.1e5 / 0.111) * 0.5 * np.pi / (nodes * chain.element_length)
@@ -154,7 +154,7 @@ def test_explicit_method_is_stable_below_its_limit_only(nodes_per_pitch):
 
 def test_explicit_limit_is_that_of_the_fastest_axial_mode():
     """An undamped straight chain: dt = 2 / omega = h / c, the time of a wave through an element."""
-    chain = plain_chain(10)._replace(bending_compliance=1e6, shear_compliance=1e6, coupling_compliance=0.0)
+    chain = uniform_chain(10)._replace(bending_compliance=1e6, shear_compliance=1e6, coupling_compliance=0.0)
     assert explicit_time_step(chain) == pytest.approx(chain.element_length / np.sqrt(1.1e5 / 0.111), rel=1e-6)
 
 

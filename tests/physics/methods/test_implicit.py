@@ -4,7 +4,7 @@ import warnings
 
 import numpy as np
 import pytest
-from oracles.chains import bent, matrices, plain_chain
+from oracles.chains import bent, matrices, uniform_chain
 
 from probe_env import Scene, Simulator
 from probe_env.physics.methods import implicit
@@ -38,7 +38,7 @@ def integrate(chain, time_step, steps, state=None, feed=0.0, every=1):
 
 def one_float(**changes):
     """A free point mass of 1 kg that meets the walls of a straight tube, without turning."""
-    base = plain_chain(1)
+    base = uniform_chain(1)
     return base._replace(
         **({"outer_gap": np.full(2, 5e-3)} | changes), mass=1.0, inertia=1.0, axial_compliance=1e12,
         shear_compliance=1e12, bending_compliance=1e12, contact_stiffness=np.full(2, 1e4),
@@ -62,7 +62,7 @@ def test_a_passive_probe_gains_no_energy(time_step, damping_time):
     Without the couple and the frame's inertia terms: these are not conservative in the model itself.
     """
     rng = np.random.default_rng(3)
-    chain = bent(plain_chain(40))._replace(damping_time=damping_time, friction=0.3)
+    chain = bent(uniform_chain(40))._replace(damping_time=damping_time, friction=0.3)
     is_float = np.arange(41) % 4 == 0
     chain = chain._replace(
         contact_stiffness=np.where(is_float, 1e5, 0.0), outer_gap=np.full(41, 5.2e-3), lever=np.full(41, 9.5e-3)

@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
+from oracles import banded, transfer_matrix
 from oracles.dense import dense_step
 
 from probe_env import Scene
-from probe_env.physics.methods import banded, ticm, transfer_matrix
+from probe_env.physics.methods import ticm
 from probe_env.physics.methods.newmark import newmark, wilson, workspace
 from probe_env.physics.model.chain import build_chain
 from probe_env.physics.model.state import State

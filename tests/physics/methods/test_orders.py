@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from oracles.chains import bent, integrate, matrices, plain_chain
+from oracles.chains import bent, integrate, matrices, uniform_chain
 from oracles.orders import observed_order
 from scipy.linalg import eigh, expm
 from scipy.stats import linregress
@@ -57,7 +57,7 @@ def test_the_study_s_schemes_converge_to_the_matrix_exponential(scheme, consiste
     What is of order two in the latter is 11 % of the slope at 4e-4 s, so its steps are shorter.
     """
     N, delta, duration = 20, 5e-5, 0.02
-    chain = bent(plain_chain(N))._replace(damping_time=delta)
+    chain = bent(uniform_chain(N))._replace(damping_time=delta)
     M, K = matrices(chain)
     modes = eigh(K, M)[1]
     d0 = 1e-5 * modes[:, 0] + 1e-6 * modes[:, 2]

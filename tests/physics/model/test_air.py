@@ -12,7 +12,7 @@ from probe_env.envs.episodes.predicted import check_task
 from probe_env.envs.task import TaskConfig
 from probe_env.envs.vibration_map import stored_map
 from probe_env.physics.closed_forms import steady_root_tension, steady_tensions, tension_for_straight
-from probe_env.physics.methods import METHODS, SOLVERS
+from probe_env.physics.methods import METHODS
 from probe_env.physics.model.chain import air_pressure, air_speed, drag_factors
 from probe_env.physics.simulation.batch import groups_of
 
@@ -142,10 +142,8 @@ def test_methods_simulate_compressible_air_or_refuse_it(method):
     assert 0.9 * tension[0] < tension[1] < 0.999 * tension[0]
 
 
-def test_other_solvers_and_batches_give_equal_results():
+def test_batches_with_and_without_expansion():
     scene = Scene.model_validate(SHORT)
-    runs = [Simulator(scene, solver=solver).run(0.02, points=("tip",)).axial for solver in list(SOLVERS)[:2]]
-    np.testing.assert_allclose(runs[1], runs[0], atol=1e-9 * np.abs(runs[0]).max())
     uniform = scene.model_copy(update={"air": {"compressible": False}})
     scenes = [scene, uniform, scene.model_copy(update={"air_supply_rate": 0.03}), uniform]
     batch = SimulatorBatch(scenes, "superelement32", threads=1)

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from oracles.chains import plain_chain
+from oracles.chains import uniform_chain
 
 from probe_env import Fidelity, Scene, Simulator, SimulatorBatch
 from probe_env.envs.episodes.limits import check_fidelity
@@ -45,7 +45,7 @@ def test_weight_of_a_float():
 def test_force_on_one_float(y, depth, v_x, direction):
     """At the inner wall, lifted off and at the outer wall, added to the force without weight; feed 0.2 m/s."""
     k, mu, w = 1e5, 0.15, 0.11
-    chain = plain_chain(1, contact_stiffness=np.array([k, 0.0]), outer_gap=np.full(2, 5.2e-3))._replace(friction=mu)
+    chain = uniform_chain(1, contact_stiffness=np.array([k, 0.0]), outer_gap=np.full(2, 5.2e-3))._replace(friction=mu)
     state = at_rest(2)
     state.d[0, 1], state.v[0, 0] = y, v_x
     found = []

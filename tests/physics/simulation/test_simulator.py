@@ -44,16 +44,25 @@ def test_the_same_run_twice_is_equal_bit_for_bit(method):
     assert (simulator.run(0.3).radial == first.radial).all()  # run starts afresh
 
 
-@pytest.mark.parametrize("solver", ["ticm", "banded"])
-@pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda s: pickle.loads(pickle.dumps(s))])
-def test_a_copy_taken_mid_run_goes_on_equal(solver, duplicate):
-    simulator = Simulator(SCENE, solver=solver)
+@pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda s: pickle.loads(pickle.dumps(s)), Simulator.branch])
+@pytest.mark.parametrize("method", ["newmark", "implicit", "superelement32"])
+def test_a_copy_taken_mid_run_goes_on_equal(method, duplicate):
+    simulator = Simulator(SCENE, method)
     simulator.run(0.05)
     other = duplicate(simulator)
     first, second = simulator.advance(duration=0.05), other.advance(duration=0.05)
     assert (first.time == second.time).all()
     assert (first.axial == second.axial).all()
     assert first.time[0] == pytest.approx(0.05)
+
+
+def test_only_declared_attributes_change_with_time():
+    """Else a branch would not copy them."""
+    simulator = Simulator(SCENE, "implicit", growing=True, ramp=0.5, air_lag=0.1)
+    fixed = {name: pickle.dumps(value) for name, value in vars(simulator).items() if name not in Simulator.CHANGING}
+    simulator.advance(0.4, 0.03, 0.2)
+    assert fixed == {name: pickle.dumps(vars(simulator)[name]) for name in vars(simulator) if name in fixed}
+    assert set(vars(simulator)) == {*fixed, *Simulator.CHANGING}
 
 
 def test_pieces_equal_the_whole():

@@ -13,26 +13,11 @@ import numpy as np
 import numpy.typing as npt
 
 from probe_env.arrays import FloatArray
+from probe_env.physics.methods import lane_group as layout
 from probe_env.physics.methods.factors import linear_weights
-from probe_env.physics.methods.lane_group import (
-    CARRIER_DRAG,
-    CARRIER_GAP,
-    CARRIER_LEVER,
-    DAMPING,
-    GUIDE_DRAG,
-    GUIDE_GAP,
-    GUIDE_LEVER,
-    MASS_RATIO,
-    ROOT,
-    SENSOR,
-    STIFFNESS,
-    TENSION,
-    WEIGHT,
-    LaneGroup,
-    LaneMethod,
-    lane_parameters,
-)
-from probe_env.physics.methods.method import Lane
+from probe_env.physics.methods.imex import Imex, Imex32
+from probe_env.physics.methods.lane_group import LaneGroup, LaneMethod, lane_parameters
+from probe_env.physics.methods.method import KernelArguments, Method
 from probe_env.physics.methods.stability import TABLE_2_DAMPING
 from probe_env.physics.methods.superelement.kernel import (
     MODES,
@@ -129,7 +114,7 @@ def root_tables(
         np.zeros((width, per_pitch + 1, CONSTANTS)), np.zeros((width, rows, FACTORS)),
         np.zeros((width, per_pitch, rows, FACTORS)), np.zeros((width, per_pitch, size, size)),
         np.zeros((width, per_pitch, per_pitch, 3, ENDS + modes)),
-        linear_weights(damping_time.astype(float), time_step)[1], np.zeros(size), np.zeros(size),
+        linear_weights(damping_time, np.float64(time_step))[1], np.zeros(size), np.zeros(size),
     )  # fmt: skip
     for k, table in enumerate(group):
         stacked.pieces[k] = table.pieces
@@ -147,9 +132,13 @@ def floats_of(parameters: FloatArray, drag: FloatArray | None, table: Tables, co
 
     ``drag`` is that of every float (n,), or None if it is equal within guide and carrier.
     """
-    guide = np.arange(count) - 0.5 < parameters[SENSOR]
+    guide = np.arange(count) - 0.5 < parameters[layout.SENSOR]
     rows = np.zeros((count, FLOATS))
-    kinds = ((GUIDE_LEVER, CARRIER_LEVER), (GUIDE_GAP, CARRIER_GAP), (GUIDE_DRAG, CARRIER_DRAG))
+    kinds = (
+        (layout.GUIDE_LEVER, layout.CARRIER_LEVER),
+        (layout.GUIDE_GAP, layout.CARRIER_GAP),
+        (layout.GUIDE_DRAG, layout.CARRIER_DRAG),
+    )
     for at, (near, far) in zip((LEVER, GAP, DRAG), kinds, strict=True):
         rows[:, at] = np.where(guide, parameters[near], parameters[far])
     if drag is not None:
@@ -197,6 +186,11 @@ class Superelement(LaneMethod):
     simulates_withdrawal = False
     kernel = staticmethod(superelement_advance)
     single: Callable[..., Any] = staticmethod(superelement_advance_single)
+
+    @property
+    def on_nodes_as(self) -> Method:
+        """See ``Method.on_nodes_as``."""
+        return Imex()
 
     def stable_step(self, scene: Scene, nodes_per_pitch: int) -> float:
         """Largest step [s] known to be stable; 0 for a cable with less damping than in the study."""
@@ -248,11 +242,15 @@ class Superelement(LaneMethod):
             raise ValueError(f'couple = "tangent": superelement supports "frame" only; {INSTEAD}')
         table = tables(chain, nodes_per_pitch, time_step)
         values = lane_parameters(chain, sensor, nodes_per_pitch)
-        values[[GUIDE_DRAG, CARRIER_DRAG]] *= chain.mass  # forces, not per mass
-        values[STIFFNESS], values[MASS_RATIO], values[TENSION] = table.stiffness, 1.0, table.most_tension
-        values[SENSOR] = sensor // nodes_per_pitch
+        values[[layout.GUIDE_DRAG, layout.CARRIER_DRAG]] *= chain.mass  # forces, not per mass
+        values[layout.STIFFNESS], values[layout.MASS_RATIO], values[layout.TENSION] = (
+            table.stiffness,
+            1.0,
+            table.most_tension,
+        )
+        values[layout.SENSOR] = sensor // nodes_per_pitch
         drag = chain.drag[:-1:nodes_per_pitch]
-        first = int(values[SENSOR]) + 1  # float of the carrier
+        first = int(values[layout.SENSOR]) + 1  # float of the carrier
         equal = all(np.ptp(part) == 0.0 for part in (drag[:first], drag[first:]) if len(part))
         return values, table, None if equal else drag
 
@@ -269,10 +267,15 @@ class Superelement(LaneMethod):
 
     def kind(self, constants: tuple[FloatArray, Tables, FloatArray | None]) -> Hashable:
         """Numbers of modes of the kernel, and whether it has weight: other kernels round differently."""
-        return *room(constants[1]), bool(constants[0][WEIGHT] > 0.0)
+        return *room(constants[1]), bool(constants[0][layout.WEIGHT] > 0.0)
 
     def run(
-        self, lanes: Sequence[Lane], time_step: float, nodes_per_pitch: int, first_sample: int, sample_every: int
+        self,
+        lanes: Sequence[KernelArguments],
+        time_step: float,
+        nodes_per_pitch: int,
+        first_sample: int,
+        sample_every: int,
     ) -> float:
         """See ``Method.run``."""
         if len(lanes) == 1:
@@ -284,7 +287,7 @@ class Superelement(LaneMethod):
         group = LaneGroup.pack(lanes, width, precision)
         roots = group.roots
         last_float = (group.held_nodes(used) - 1) // per_pitch
-        group.parameters[ROOT, :used] = last_float[0] + 1
+        group.parameters[layout.ROOT, :used] = last_float[0] + 1
         rows = int(last_float[-1].max()) + 2
         state = np.zeros((rows, fields, width), dtype=precision)
         for k, (lane, table) in enumerate(zip(lanes, members, strict=True)):
@@ -295,7 +298,7 @@ class Superelement(LaneMethod):
             values, table, drag = lane.constants
             drags[:, k] = floats_of(values, drag, table, rows)[:, DRAG]
         options = weighed(lanes[0]), (0,) * varied
-        stacked = root_tables(members, group.parameters[DAMPING], time_step, even, odd, last + 1)
+        stacked = root_tables(members, group.parameters[layout.DAMPING], time_step, even, odd, last + 1)
         constants = np.zeros(((1 + width) * CONSTANTS, width), dtype=precision)
         factors = np.zeros(((last + 1 + width) * FACTORS, width), dtype=precision)
         constants[:CONSTANTS] = stacked.pieces[:, -1].T
@@ -317,7 +320,9 @@ class Superelement(LaneMethod):
             add_tension(lane, tension[:, k], per_pitch)
         return seconds
 
-    def _run_single(self, lane: Lane, time_step: float, per_pitch: int, first_sample: int, sample_every: int) -> float:
+    def _run_single(
+        self, lane: KernelArguments, time_step: float, per_pitch: int, first_sample: int, sample_every: int
+    ) -> float:
         """``run`` for a single probe, whose floats are in the lanes."""
         values, table, drag = lane.constants
         (even, odd), width, precision = room(table), self.width, self.precision
@@ -328,7 +333,7 @@ class Superelement(LaneMethod):
         pack(rows, lane.state, lane.root, per_pitch, table, even)
         state = in_blocks(rows, width, precision)
         parameters = np.repeat(values[:, None], width, axis=1).astype(precision)
-        stacked = root_tables([table], parameters[DAMPING, :1], time_step, even, odd, len(table.factors))
+        stacked = root_tables([table], parameters[layout.DAMPING, :1], time_step, even, odd, len(table.factors))
         constants = np.zeros((2 * CONSTANTS, width), dtype=precision)
         constants[:CONSTANTS] = stacked.pieces[0, -1][:, None]
         settled = (len(table.factors) - 1) // width + 1  # first block whose floats share their factors
@@ -361,13 +366,23 @@ class Superelement32(Superelement):
     precision = np.float32
     single_share = 0.33
 
+    @property
+    def in_double(self) -> Method:
+        """See ``Method.in_double``."""
+        return Superelement()
 
-def weighed(lane: Lane) -> tuple[int, ...]:
+    @property
+    def on_nodes_as(self) -> Method:
+        """See ``Method.on_nodes_as``."""
+        return Imex32()
+
+
+def weighed(lane: KernelArguments) -> tuple[int, ...]:
     """Option of the kernels for the weight of a probe; see ``superelement_advance``."""
-    return (0,) * bool(lane.constants[0][WEIGHT] > 0.0)
+    return (0,) * bool(lane.constants[0][layout.WEIGHT] > 0.0)
 
 
-def add_tension(lane: Lane, tension: FloatArray, per_pitch: int) -> None:
+def add_tension(lane: KernelArguments, tension: FloatArray, per_pitch: int) -> None:
     """Add the axial forces of pieces to the sums at the nodes of a probe."""
     covered = min(len(tension) * per_pitch, lane.root, len(lane.tension_sum))
     lane.tension_sum[:covered] += np.repeat(tension, per_pitch)[:covered]

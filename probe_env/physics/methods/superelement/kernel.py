@@ -23,27 +23,20 @@ from probe_env.arrays import FloatArray
 from probe_env.physics.methods.factors import linear_weights
 from probe_env.physics.methods.imex import float_at, float_forces, less_product, load_floats, load_wall, magnitude
 from probe_env.physics.methods.lane_group import CURVATURE, DAMPING, PEAK, ROOT, TENSION, WEIGHT
-from probe_env.physics.methods.lanes import kernel, load, part, splat, square_root, store, traced, where_less
-from probe_env.physics.methods.superelement.tables import (
-    AXIAL,
-    AXIAL_EVEN,
-    AXIAL_ODD,
-    CARRIED,
-    CONSTANTS,
-    COUPLE,
-    ELASTIC,
-    EVEN,
-    FACTORS,
-    FORCE,
-    G_EVEN,
-    G_ODD,
-    HALF_MASS,
-    K_EVEN,
-    K_ODD,
-    MODE,
-    ODD,
-    TO_MODES,
+from probe_env.physics.methods.lanes import (
+    kernel,
+    load,
+    load3,
+    multiply_add,
+    part,
+    splat,
+    square_root,
+    store,
+    store3,
+    traced,
+    where_less,
 )
+from probe_env.physics.methods.superelement import tables as offset
 from probe_env.physics.model.drive import AIR, APPEND, INPUTS, SLOPE, SPEED
 from probe_env.physics.model.state import DIVERGED_RADIAL
 
@@ -89,11 +82,11 @@ def assign_roots(tables, constants, factors, at, last, roots):
             has_root = roots[lane] > 0 and (roots[lane] - 1) // per_pitch == i
             kind = roots[lane] - i * per_pitch - 1 if has_root else per_pitch
             row = min(i, last)
-            for c in range(CONSTANTS):
-                constants[(1 + k) * CONSTANTS + c, lane] = tables.pieces[lane, kind, c]
-            for f in range(FACTORS):
+            for c in range(offset.CONSTANTS):
+                constants[(1 + k) * offset.CONSTANTS + c, lane] = tables.pieces[lane, kind, c]
+            for f in range(offset.FACTORS):
                 value = tables.root_factors[lane, kind, row, f] if has_root else tables.factors[lane, row, f]
-                factors[(last + 1 + k) * FACTORS + f, lane] = value
+                factors[(last + 1 + k) * offset.FACTORS + f, lane] = value
 
 
 @part
@@ -223,19 +216,19 @@ def push_modes(constants, c, count, state, q, ax, ay, at, push):
     zero = splat(push, 0.0)
     hx = hy = ht = sx = sy = st = zero
     for j in range(count):
-        m, r = c + j * MODE, q + 2 * j
+        m, r = c + j * offset.MODE, q + 2 * j
         position = load(state, r)
-        gx, gy, gt = load(constants, m + COUPLE), load(constants, m + COUPLE + 1), load(constants, m + COUPLE + 2)
+        gx, gy, gt = load3(constants, m + offset.COUPLE)
         hx, hy, ht = hx + gx * position, hy + gy * position, ht + gt * position
-        force = gx * ax + gy * ay + gt * at
+        force = multiply_add(gx, ax, gy * ay) + gt * at
         for i in range(count):
-            force = force + load(constants, m + TO_MODES + i) * load(state, q + 2 * i)
+            force = force + load(constants, m + offset.TO_MODES + i) * load(state, q + 2 * i)
         momentum = load(state, r + 1) + push * force
         store(state, r + 1, momentum)
-        left = momentum - load(constants, m + ELASTIC) * position
-        sx = sx - load(constants, m + CARRIED) * left
-        sy = sy - load(constants, m + CARRIED + 1) * left
-        st = st - load(constants, m + CARRIED + 2) * left
+        left = momentum - load(constants, m + offset.ELASTIC) * position
+        sx = sx - load(constants, m + offset.CARRIED) * left
+        sy = sy - load(constants, m + offset.CARRIED + 1) * left
+        st = st - load(constants, m + offset.CARRIED + 2) * left
     return hx, hy, ht, sx, sy, st
 
 
@@ -244,16 +237,16 @@ def move_modes(constants, c, count, state, q, ux, uy, ut, dt, tau):
     """Update q and p of the modes of one parity from the velocities of the ends; returns their axial force."""
     force = splat(ux, 0.0)
     for j in range(count):
-        m, r = c + j * MODE, q + 2 * j
+        m, r = c + j * offset.MODE, q + 2 * j
         position, momentum = load(state, r), load(state, r + 1)
-        velocity = momentum - load(constants, m + ELASTIC) * position
-        velocity = velocity - load(constants, m + CARRIED) * ux
-        velocity = velocity - load(constants, m + CARRIED + 1) * uy
-        velocity = velocity - load(constants, m + CARRIED + 2) * ut
+        velocity = momentum - load(constants, m + offset.ELASTIC) * position
+        velocity = velocity - load(constants, m + offset.CARRIED) * ux
+        velocity = velocity - load(constants, m + offset.CARRIED + 1) * uy
+        velocity = velocity - load(constants, m + offset.CARRIED + 2) * ut
         middle = position + tau * velocity
         store(state, r, position + dt * velocity)
-        store(state, r + 1, momentum - load(constants, m + FORCE) * middle)
-        force = force + load(constants, m + AXIAL) * middle
+        store(state, r + 1, momentum - load(constants, m + offset.FORCE) * middle)
+        force = force + load(constants, m + offset.AXIAL) * middle
     return force
 
 
@@ -262,16 +255,17 @@ def symmetric(constants, c, x, y, t):
     """Symmetric (3, 3) matrix at ``c`` times (x, y, t)."""
     xy, xt, yt = load(constants, c + 1), load(constants, c + 2), load(constants, c + 5)
     return (
-        load(constants, c) * x + xy * y + xt * t,
-        xy * x + load(constants, c + 4) * y + yt * t,
-        xt * x + yt * y + load(constants, c + 8) * t,
+        multiply_add(xy, y, load(constants, c) * x) + xt * t,
+        multiply_add(xy, x, load(constants, c + 4) * y) + yt * t,
+        multiply_add(xt, x, yt * y) + load(constants, c + 8) * t,
     )
 
 
 @traced
 def dot(constants, c, x, y, t):
     """Three constants times (x, y, t)."""
-    return load(constants, c) * x + load(constants, c + 1) * y + load(constants, c + 2) * t
+    a, b, d = load3(constants, c)
+    return multiply_add(a, x, b * y) + d * t
 
 
 @traced
@@ -285,7 +279,7 @@ def weight_friction(float_, wall, weight, forward, y):
     zero = splat(y, 0.0)
     beyond = y - gap
     normal = stiffness * (where_less(y, zero, zero - y, zero) + where_less(zero, beyond, beyond, zero))
-    more = coefficient * (square_root(normal * normal + weight * weight) - normal)
+    more = coefficient * (square_root(multiply_add(normal, normal, weight * weight)) - normal)
     return where_less(forward, zero, zero - more, more)
 
 
@@ -299,7 +293,7 @@ def float_kick(constants, c, state, q, float_, wall, weighed, weight, curvature,
     vx, vy = load(state, q + VX), load(state, q + VY)
     forward = speed + vx
     cx, cy, ct = float_forces(float_, wall, forward, air, y, vx + speed, load(state, q + VT))
-    mass = behind + load(constants, c + HALF_MASS)
+    mass = behind + load(constants, c + offset.HALF_MASS)
     turn = mass * curvature * forward
     cx = cx - 2.0 * turn * vy - mass * slope
     if len(weighed) > 0:
@@ -320,21 +314,21 @@ def piece_forces(constants, c, evens, odds, state, q, here, ahead, limit, dt):
     # couple and modes
     axial = load(state, q + V)
     push = splat(x, 0.0) - dt * where_less(axial, limit, axial, limit)
-    gx, gy, gt, jx, jy, jt = push_modes(constants, c + EVEN, even, state, q + MODES, ax, ay, aa, push)
-    mx, my, mt, ox, oy, ot = push_modes(constants, c + ODD, odd, state, q + MODES + 2 * even, bx, by, bt, push)
-    cex, cey, cet = symmetric(constants, c + G_EVEN, ax, ay, aa)
-    cox, coy, cot = symmetric(constants, c + G_ODD, bx, by, bt)
+    gx, gy, gt, jx, jy, jt = push_modes(constants, c + offset.EVEN, even, state, q + MODES, ax, ay, aa, push)
+    mx, my, mt, ox, oy, ot = push_modes(constants, c + offset.ODD, odd, state, q + MODES + 2 * even, bx, by, bt, push)
+    cex, cey, cet = symmetric(constants, c + offset.G_EVEN, ax, ay, aa)
+    cox, coy, cot = symmetric(constants, c + offset.G_ODD, bx, by, bt)
     gx, gy, gt, mx, my, mt = gx + cex, gy + cey, gt + cet, mx + cox, my + coy, mt + cot
     gx, gy, gt, mx, my, mt = ends_of(gx, gy, gt, mx, my, mt)
     jx, jy, jt, ox, oy, ot = ends_of(jx, jy, jt, ox, oy, ot)
     # K d of the float: its share of this piece
-    odd_strain = dot(constants, c + K_ODD, bx, by, bt)
-    cex, cey, cet = symmetric(constants, c + K_EVEN, ax, ay, aa)
+    odd_strain = dot(constants, c + offset.K_ODD, bx, by, bt)
+    cex, cey, cet = symmetric(constants, c + offset.K_EVEN, ax, ay, aa)
     ex, ey, et, dx, dy, dd = ends_of(
         cex, cey, cet,
-        load(constants, c + K_ODD + 3) * odd_strain,
-        load(constants, c + K_ODD + 4) * odd_strain,
-        load(constants, c + K_ODD + 5) * odd_strain,
+        load(constants, c + offset.K_ODD + 3) * odd_strain,
+        load(constants, c + offset.K_ODD + 4) * odd_strain,
+        load(constants, c + offset.K_ODD + 5) * odd_strain,
     )  # fmt: skip
     return (push, gx, gy, gt, jx, jy, jt, ex, ey, et), (dx, dy, dd, ox, oy, ot, push * mx, push * my, push * mt)
 
@@ -359,7 +353,7 @@ def momentum_kick(state, q, kick, piece, behind, dt, before, now, weight):
 def middle_of(state, q, velocity, tau):
     """D_before + tau v_m of a float."""
     ux, uy, ut = velocity
-    x, y, t = load(state, q + X), load(state, q + Y), load(state, q + T)
+    x, y, t = load3(state, q + X)
     return x + tau * ux, y + tau * uy, t + tau * ut
 
 
@@ -373,18 +367,16 @@ def axial_force(constants, c, evens, odds, state, q, velocity, velocity_ahead, m
     (ux, uy, ut), (wx, wy, wt), (nx, ny, nt), (zx, zy, zt) = velocity, velocity_ahead, middle, middle_ahead
     even, odd = len(evens), len(odds)
     ax, ay, aa, bx, by, bt = even_odd(ux, uy, ut, wx, wy, wt)
-    axial = load(constants, c + AXIAL_EVEN) * (nx - zx)
-    axial = axial + load(constants, c + AXIAL_EVEN + 1) * (ny + zy)
-    axial = axial + load(constants, c + AXIAL_EVEN + 2) * (nt - zt)
-    axial = axial + move_modes(constants, c + EVEN, even, state, q + MODES, ax, ay, aa, dt, tau)
-    return axial, move_modes(constants, c + ODD, odd, state, q + MODES + 2 * even, bx, by, bt, dt, tau)
+    axial = dot(constants, c + offset.AXIAL_EVEN, nx - zx, ny + zy, nt - zt)
+    axial = axial + move_modes(constants, c + offset.EVEN, even, state, q + MODES, ax, ay, aa, dt, tau)
+    return axial, move_modes(constants, c + offset.ODD, odd, state, q + MODES + 2 * even, bx, by, bt, dt, tau)
 
 
 @traced
 def root_force(constants, c, middle, middle_ahead):
     """Contribution of the odd unknowns of the ends to the axial force of the piece at the root."""
     (nx, ny, nt), (zx, zy, zt) = middle, middle_ahead
-    return dot(constants, c + AXIAL_ODD, nx + zx, ny - zy, nt + zt)
+    return dot(constants, c + offset.AXIAL_ODD, nx + zx, ny - zy, nt + zt)
 
 
 @traced
@@ -394,9 +386,7 @@ def move_float(state, q, velocity, dt):
     store(state, q + X, load(state, q + X) + dt * ux)
     store(state, q + Y, load(state, q + Y) + dt * uy)
     store(state, q + T, load(state, q + T) + dt * ut)
-    store(state, q + VX, ux)
-    store(state, q + VY, uy)
-    store(state, q + VT, ut)
+    store3(state, q + VX, ux, uy, ut)
 
 
 @kernel
@@ -424,7 +414,7 @@ def superelement_advance(
     curvature, limit = load(parameters, CURVATURE), load(parameters, TENSION)
     float_weight = load(parameters, WEIGHT)
     floats, wall = load_floats(parameters), load_wall(parameters)
-    pitch_half = load(constants, HALF_MASS)
+    pitch_half = load(constants, offset.HALF_MASS)
     for step in range(len(tops)):
         k = step * INPUTS
         speed, slope, air = load(inputs, k + SPEED), load(inputs, k + SLOPE), load(inputs, k + AIR)
@@ -432,11 +422,11 @@ def superelement_advance(
         ux = uy = ut = zero
         behind = (zero, zero, zero, zero, zero, zero, zero, zero, zero)
         mass = zero
-        here = load(state, X), load(state, Y), load(state, T)
+        here = load3(state, X)
         for i in range(top + 1):
             q = i * fields
-            c, f = at[i] * CONSTANTS, (min(i, last) if at[i] == 0 else last + at[i]) * FACTORS
-            ahead = load(state, q + fields + X), load(state, q + fields + Y), load(state, q + fields + T)
+            c, f = at[i] * offset.CONSTANTS, (min(i, last) if at[i] == 0 else last + at[i]) * offset.FACTORS
+            ahead = load3(state, q + fields + X)
             float_ = float_at(i, floats)
             if len(varied) > 0:
                 float_ = float_[0], float_[1], load(drags, i)
@@ -449,10 +439,8 @@ def superelement_advance(
             done, carried = piece_forces(constants, c, evens, odds, state, q, here, ahead, limit, dt)
             rx, ry, rt = momentum_kick(state, q, kick, done, behind, dt, before, now, weight)
             rx, ry, rt = symmetric(factors, f, rx, ry, rt)
-            ux, uy, ut = less_product(rx, ry, rt, factors, f + 9, ux, uy, ut)
-            store(state, q + VX, ux)
-            store(state, q + VY, uy)
-            store(state, q + VT, ut)
+            ux, uy, ut = less_product((rx, ry, rt), factors, f + 9, (ux, uy, ut))
+            store3(state, q + VX, ux, uy, ut)
             behind, here = carried, ahead
         store(parameters, PEAK, peak)
         velocity = middle = (zero, zero, zero)  # of the float ahead: v_m, d_before + tau v_m
@@ -460,11 +448,8 @@ def superelement_advance(
         for back in range(top + 1):
             i = top - back
             q = i * fields
-            c, f = at[i] * CONSTANTS, (min(i, last) if at[i] == 0 else last + at[i]) * FACTORS
-            ux, uy, ut = less_product(
-                load(state, q + VX), load(state, q + VY), load(state, q + VT), factors, f + 18,
-                velocity[0], velocity[1], velocity[2],
-            )  # fmt: skip
+            c, f = at[i] * offset.CONSTANTS, (min(i, last) if at[i] == 0 else last + at[i]) * offset.FACTORS
+            ux, uy, ut = less_product(load3(state, q + VX), factors, f + 18, velocity)
             if i >= bottoms[step]:  # beyond a lane's root nothing moves
                 node = splat(parameters, float(i))
                 ux, uy, ut = (

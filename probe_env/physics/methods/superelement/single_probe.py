@@ -9,19 +9,21 @@ Field f of float i is in row (i // lanes) fields + f of the state, lane i % lane
 
 from __future__ import annotations
 
-from numba import njit
-
 from probe_env.physics.methods.factors import linear_weights
 from probe_env.physics.methods.imex import load_wall, magnitude
 from probe_env.physics.methods.lane_group import CURVATURE, DAMPING, PEAK, TENSION, WEIGHT
 from probe_env.physics.methods.lanes import (
+    PART,
+    compiled,
     from_ahead,
     from_behind,
     kernel,
     load,
+    load3,
     part,
     splat,
     store,
+    store3,
     traced,
     where_less,
 )
@@ -79,28 +81,18 @@ FLOATS = 4
 
 
 @traced
-def three(state, q):
-    """Three consecutive fields."""
-    return load(state, q), load(state, q + 1), load(state, q + 2)
-
-
-@traced
 def all_from_behind(a, b):
     """``from_behind`` of the nine values that a piece passes to the float ahead."""
-    return (
-        from_behind(a[0], b[0]), from_behind(a[1], b[1]), from_behind(a[2], b[2]),
-        from_behind(a[3], b[3]), from_behind(a[4], b[4]), from_behind(a[5], b[5]),
-        from_behind(a[6], b[6]), from_behind(a[7], b[7]), from_behind(a[8], b[8]),
-    )  # fmt: skip
+    return tuple(map(from_behind, a, b))
 
 
 @traced
 def all_from_ahead(a, b):
     """``from_ahead`` of x, y and theta."""
-    return from_ahead(a[0], b[0]), from_ahead(a[1], b[1]), from_ahead(a[2], b[2])
+    return tuple(map(from_ahead, a, b))
 
 
-@njit(nogil=True, error_model="numpy", fastmath={"contract"}, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+@compiled(fastmath={"contract"}, **PART)
 def link(a, b, c, links, row, x, y, t):
     """``less_product`` of one float."""
     return (
@@ -154,11 +146,11 @@ def superelement_advance_single(
         last = top // lanes
         ux = uy = ut = rest
         behind = (zero, zero, zero, zero, zero, zero, zero, zero, zero)
-        here = three(state, X)
+        here = load3(state, X)
         for b in range(last + 1):
             q, c = b * fields, CONSTANTS if b == last else 0
             f = (beyond + 1 if b == last else min(b, beyond)) * E_SIZE
-            further = three(state, q + fields + X)
+            further = load3(state, q + fields + X)
             ahead = all_from_ahead(here, further)
             float_ = load(floats, b * FLOATS + LEVER), load(floats, b * FLOATS + GAP), load(floats, b * FLOATS + DRAG)
             half = load(floats, b * FLOATS + BEHIND)
@@ -171,9 +163,7 @@ def superelement_advance_single(
             nearer = all_from_behind(behind, carried)
             rx, ry, rt = momentum_kick(state, q, kick, done, nearer, dt, before, now, weight)
             rx, ry, rt = symmetric(factors, f, rx, ry, rt)
-            store(state, q + VX, rx)
-            store(state, q + VY, ry)
-            store(state, q + VT, rt)
+            store3(state, q + VX, rx, ry, rt)
             for lane in range(min(lanes, top + 1 - b * lanes)):
                 i = b * lanes + lane
                 r = held if i == top else min(i, held - 1)
@@ -194,7 +184,7 @@ def superelement_advance_single(
                 r = held if i == top else min(i, held - 1)
                 ux, uy, ut = link(state[q + VX, lane], state[q + VY, lane], state[q + VT, lane], to_tip, r, ux, uy, ut)
                 state[q + VX, lane], state[q + VY, lane], state[q + VT, lane] = ux, uy, ut
-            moved = three(state, q + VX)
+            moved = load3(state, q + VX)
             ux, uy, ut = state[q + VX, 0], state[q + VY, 0], state[q + VT, 0]
             half_way = middle_of(state, q, moved, tau)
             velocity, middle = all_from_ahead(moved, velocity), all_from_ahead(half_way, middle)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from oracles.chains import matrices, plain_chain
+from oracles.chains import matrices, uniform_chain
 from scipy.linalg import eigh, eigvals
 
 from probe_env import Scene
@@ -115,16 +115,16 @@ def test_free_motion_strains_nothing():
         scale = np.abs(pitch.stiffness).max()
         assert np.abs(pitch.stiffness @ z).max() < 1e-9 * scale
         assert abs(pitch.tension @ z) < 1e-9 * np.abs(pitch.tension).max()
-    straight = condensed(plain_chain(8), 2)
-    length = 8 * plain_chain(8).element_length
+    straight = condensed(uniform_chain(8), 2)
+    length = 8 * uniform_chain(8).element_length
     turn = np.r_[0.0, length, 1.0, 0.0, 0.0, 1.0, 0.0, 0.0]  # about the root-side end
     assert np.abs(straight.stiffness @ turn).max() < 1e-9 * np.abs(straight.stiffness).max() * length
 
 
 def test_a_pull_is_the_tension():
     """Ends pulled apart by 1 um: the force on each end is EA / p times it, and so are mean and last axial force."""
-    pitch = condensed(plain_chain(8), 1)
-    length, rigidity = 8 * plain_chain(8).element_length, SCENE.probe.tensile_rigidity
+    pitch = condensed(uniform_chain(8), 1)
+    length, rigidity = 8 * uniform_chain(8).element_length, SCENE.probe.tensile_rigidity
     z = np.r_[1e-6, np.zeros(5), 0.0]
     assert pitch.tension @ z == pytest.approx(rigidity / length * 1e-6)
     assert pitch.root_tension @ z == pytest.approx(rigidity / length * 1e-6)

@@ -5,7 +5,7 @@ import pytest
 
 from probe_env import Scene, Simulator, SimulatorBatch, StabilityWarning
 from probe_env.physics.methods import METHODS
-from probe_env.physics.methods.method import Lane
+from probe_env.physics.methods.method import KernelArguments
 from probe_env.physics.simulation.batch import groups_of
 
 LENGTHS = (0.4, 0.8, 1.3, 7.0)
@@ -32,7 +32,9 @@ def run_single_and_grouped(scene, method, time_step, steps, **options):
         for s in members:
             room, samples = s.chain.node_count - 1 - s.root, np.zeros((steps // 5, len(points), 4))
             inputs = s.drive.inputs_of_steps(steps, time_step, s.chain.element_length, room)
-            lanes.append(Lane(s.constants, s.state, s.root, inputs, points, samples, np.zeros(s.chain.node_count)))
+            lanes.append(
+                KernelArguments(s.constants, s.state, s.root, inputs, points, samples, np.zeros(s.chain.node_count))
+            )
         METHODS[method].run(lanes, time_step, 4, 5, 5)
         first = lanes[0]
         results.append((first.failed, first.root, first.samples, first.tension_sum, *first.state))

@@ -6,21 +6,14 @@ accuracy on long or stiffly supported chains (Pestel and Leckie 1963); it is inc
 
 from __future__ import annotations
 
-from functools import partial
-
 import numpy as np
 from numba import njit
 
 from probe_env.arrays import FloatArray
 from probe_env.physics.methods import ticm
-from probe_env.physics.methods.newmark import Scheme, Step, Workspace
+from probe_env.physics.methods.newmark import Scheme, Workspace
 from probe_env.physics.model.chain import Chain
 from probe_env.physics.model.state import State
-
-
-def stepper(chain: Chain, scheme: Scheme) -> Step:
-    """A step function (inputs, root, state, work) -> first diverged node or -1."""
-    return partial(step, chain, scheme)
 
 
 def step(chain: Chain, scheme: Scheme, inputs: FloatArray, root: int, state: State, work: Workspace) -> int:
@@ -41,7 +34,7 @@ def step(chain: Chain, scheme: Scheme, inputs: FloatArray, root: int, state: Sta
     return int(ticm.apply_solution(scheme, state, columns @ weights, (axial @ weights)[:root]))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def _sweep(chain, B_v, held, h_v, P, q, columns, axial):
     """Displacements of all nodes and axial forces as linear functions of the root force and 1.
 

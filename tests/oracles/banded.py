@@ -5,19 +5,21 @@ A reference for accuracy and speed of the TICM: equal equations and update, anot
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from scipy.linalg import solve_banded
 
 from probe_env.arrays import FloatArray
 from probe_env.physics.methods import ticm
-from probe_env.physics.methods.newmark import Scheme, Step, Workspace
+from probe_env.physics.methods.newmark import Scheme, Workspace
 from probe_env.physics.model.chain import Chain, element_blocks, element_stiffness
 from probe_env.physics.model.state import State
 
 HALF_BANDWIDTH = 5  # three unknowns a node, coupled to the neighbours
 
 
-def stepper(chain: Chain, scheme: Scheme) -> Step:
+def stepper(chain: Chain, scheme: Scheme) -> Callable[[FloatArray, int, State, Workspace], int]:
     """A step function (inputs, root, state, work) -> first diverged node or -1, constant matrices prepared."""
     head, tail = element_blocks(chain)
     stiffness = element_stiffness(chain)
