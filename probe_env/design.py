@@ -33,11 +33,7 @@ float of the study leaves 4.2 mm."""
 
 
 def ranges_in(scene: Scene) -> dict[str, tuple[float, float, str]]:
-    """``RANGES``, with float diameters limited by the bore and the cable of a scene.
-
-    Raises:
-        ValueError: no float of the design space fits.
-    """
+    """``RANGES``, with float diameters limited by the bore and the cable of a scene."""
     most, least = scene.tube.clear_diameter - CLEARANCE, scene.probe.cable_diameter + CLEARANCE
     cut = dict(RANGES)
     for name in ("guide_float_diameter", "carrier_float_diameter"):

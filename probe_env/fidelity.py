@@ -127,11 +127,7 @@ class Fidelity(Model):
 
     @property
     def simulated_method(self) -> Method:
-        """The method of a fidelity that simulates.
-
-        Raises:
-            ValueError: it predicts from a vibration map.
-        """
+        """The method of a fidelity that simulates."""
         if self.method is None:
             raise ValueError("fidelity = 'surrogate' simulates no motion, which is needed here: use fast or finer")
         return self.method

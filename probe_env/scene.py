@@ -162,11 +162,7 @@ class Scene(Model):
 
     @classmethod
     def fitted(cls, values: Mapping[str, Any]) -> Self:
-        """A scene from values that differ from table 2; the default carrier is shortened to fit the helix.
-
-        Raises:
-            ValueError: an unknown or invalid field.
-        """
+        """A scene from values that differ from table 2; the default carrier is shortened to fit the helix."""
         fields = dict(values)
         try:
             tube = Tube.model_validate(fields.get("tube", {}))

@@ -35,11 +35,7 @@ class Quantity(Range):
     """Metadata of a physical quantity that is validated: finite and within [low, high] ``unit``."""
 
     def check(self, value: Any) -> Any:
-        """The value, if it is in the range.
-
-        Raises:
-            PydanticCustomError: out of range; names value, range and unit.
-        """
+        """The value, if it is in the range."""
         if not self.low <= value <= self.high:  # also catches NaN
             unit = self.unit and f" {self.unit}"
             raise PydanticCustomError(
@@ -100,11 +96,7 @@ class Model(BaseModel):
 
 
 def range_of(model: type[Model], field: str) -> Range | None:
-    """Accepted range of a field, such as "contact.friction", from its metadata; None if it has none.
-
-    Raises:
-        KeyError: there is no such field.
-    """
+    """Accepted range of a field, such as "contact.friction", from its metadata; None if it has none."""
     *parts, name = field.split(".")
     for part in parts:
         model = next(kind for kind in _parts(model.model_fields[part].annotation) if isinstance(kind, type))

@@ -8,13 +8,35 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from numba import njit
 from scipy.linalg import solve_banded
 
 from probe_env.arrays import FloatArray
 from probe_env.physics.methods import ticm
 from probe_env.physics.methods.newmark import Scheme, Workspace
 from probe_env.physics.model.chain import Chain, element_blocks, element_stiffness
+from probe_env.physics.model.drive import AIR, SLOPE, SPEED
 from probe_env.physics.model.state import State
+
+
+@njit(nogil=True, error_model="numpy", fastmath=ticm.FASTMATH)
+def node_equations(chain, scheme, inputs, root, state, work):
+    """All P_j and q_j of one step, for separate solvers."""
+    for i in range(root):
+        ticm.node_equation(chain, scheme, inputs[SPEED], inputs[SLOPE], inputs[AIR], state, i, work.P, work.q)
+
+
+@njit(nogil=True, error_model="numpy", fastmath=ticm.FASTMATH)
+def apply_solution(scheme, state, solution, axial_force):
+    """Update the state from a solution (n, 3) of (17)-(18); returns the first diverged node or -1."""
+    diverged = -1
+    for i in range(len(axial_force)):
+        x, y, t = solution[i, 0], solution[i, 1], solution[i, 2]
+        if not ticm.update_node(scheme, state, i, x, y, t) and diverged < 0:
+            diverged = i
+        state.axial_force[i] = axial_force[i]
+    return diverged
+
 
 HALF_BANDWIDTH = 5  # three unknowns a node, coupled to the neighbours
 
@@ -27,7 +49,7 @@ def stepper(chain: Chain, scheme: Scheme) -> Callable[[FloatArray, int, State, W
     elastic = _elastic_band(head, tail, damped, chain.node_count - 1)  # of the longest probe
 
     def step(inputs: FloatArray, root: int, state: State, work: Workspace) -> int:
-        ticm.node_equations(chain, scheme, inputs, root, state, work)
+        node_equations(chain, scheme, inputs, root, state, work)
         d, v, a = state.d[: root + 1], state.v[: root + 1], state.memory[: root + 1]
         h_v = scheme.v_d * d + scheme.v_v * v + scheme.v_a * a
         h_v[-1] = -scheme.B_v * d[-1]  # the held root is at rest
@@ -44,7 +66,7 @@ def stepper(chain: Chain, scheme: Scheme) -> Callable[[FloatArray, int, State, W
         deformation = solution[:-1] @ head.T + solution[1:] @ tail.T
         history[-1] -= damped @ tail @ d[-1]  # now included in the deformation
         axial = deformation @ damped[0] + history[:, 0]
-        return int(ticm.apply_solution(scheme, state, solution, axial))
+        return int(apply_solution(scheme, state, solution, axial))
 
     return step
 

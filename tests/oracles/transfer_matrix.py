@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from oracles import banded
 from probe_env.arrays import FloatArray
-from probe_env.physics.methods import ticm
 from probe_env.physics.methods.newmark import Scheme, Workspace
 from probe_env.physics.model.chain import Chain
 from probe_env.physics.model.state import State
@@ -18,7 +18,7 @@ from probe_env.physics.model.state import State
 
 def step(chain: Chain, scheme: Scheme, inputs: FloatArray, root: int, state: State, work: Workspace) -> int:
     """One step; returns the first diverged node or -1 (a lost solution counts as diverged: node 0)."""
-    ticm.node_equations(chain, scheme, inputs, root, state, work)
+    banded.node_equations(chain, scheme, inputs, root, state, work)
     h_v = scheme.v_d * state.d + scheme.v_v * state.v + scheme.v_a * state.memory
     h_v[root] = -scheme.B_v * state.d[root]  # the held root is at rest
     columns = np.empty((root + 1, 3, 4))
@@ -31,7 +31,7 @@ def step(chain: Chain, scheme: Scheme, inputs: FloatArray, root: int, state: Sta
     except np.linalg.LinAlgError:
         return 0
     weights: FloatArray = np.append(root_force, 1.0)
-    return int(ticm.apply_solution(scheme, state, columns @ weights, (axial @ weights)[:root]))
+    return int(banded.apply_solution(scheme, state, columns @ weights, (axial @ weights)[:root]))
 
 
 @njit(error_model="numpy")

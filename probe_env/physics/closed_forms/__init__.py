@@ -122,9 +122,6 @@ def tension_for_straight(scene: Scene, length: float, incline: float = math.pi /
         scene: probe, air, friction, feed speed and air supply; the straight part has the bore of its tube.
         length: of the straight part [m].
         incline: angle a of the direction of insertion to the horizontal [rad]: pi / 2 is upwards, -pi / 2 downwards.
-
-    Raises:
-        ValueError: length or incline out of range.
     """
     within("length", length, 0.0, 1e4, "m")
     within("incline", incline, -math.pi / 2.0, math.pi / 2.0, "rad")

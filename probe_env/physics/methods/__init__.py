@@ -23,11 +23,7 @@ ON_NODES: Final = {name: method for name, method in METHODS.items() if method.on
 
 
 def method_named(method: str | Method) -> Method:
-    """A method by its name, or the given one.
-
-    Raises:
-        ValueError: unknown method.
-    """
+    """A method by its name, or the given one."""
     if isinstance(method, Method):
         return method
     if method not in METHODS:

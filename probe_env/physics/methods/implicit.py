@@ -425,12 +425,7 @@ class Implicit(Method):
         return chain, weights, couple_limits(chain, nodes_per_pitch), contact_walls(chain), weighed
 
     def run(
-        self,
-        lanes: Sequence[KernelArguments],
-        time_step: float,
-        nodes_per_pitch: int,
-        first_sample: int,
-        sample_every: int,
+        self, lanes: Sequence[KernelArguments], time_step: float, per_pitch: int, first_sample: int, sample_every: int
     ) -> float:
         """See ``Method.run``; the group is one probe."""
         (lane,) = lanes

@@ -97,12 +97,7 @@ class NodeLanes(LaneMethod):
         return lane_parameters(chain, sensor, nodes_per_pitch), self.factors(chain, time_step)
 
     def run(
-        self,
-        lanes: Sequence[KernelArguments],
-        time_step: float,
-        nodes_per_pitch: int,
-        first_sample: int,
-        sample_every: int,
+        self, lanes: Sequence[KernelArguments], time_step: float, per_pitch: int, first_sample: int, sample_every: int
     ) -> float:
         """See ``Method.run``."""
         width, precision = self.width, self.precision
@@ -126,7 +121,7 @@ class NodeLanes(LaneMethod):
         begin = time.perf_counter()
         self.kernel(
             parameters, compressed, packed_factors.reshape(-1, width), packed.reshape(-1, width),
-            group.inputs.reshape(-1, width), held[:-1].max(axis=1), held[:-1].min(axis=1), time_step, nodes_per_pitch,
+            group.inputs.reshape(-1, width), held[:-1].max(axis=1), held[:-1].min(axis=1), time_step, per_pitch,
             (first_sample, sample_every, group.points, samples, tension), roots, group.failed,
         )  # fmt: skip
         seconds = time.perf_counter() - begin

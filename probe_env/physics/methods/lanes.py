@@ -115,7 +115,7 @@ def traced(function: Callable[..., Any]) -> Callable[..., Any]:
     """Decorator of a function of lanes that is run while the calling kernel is compiled; see the module."""
 
     @wraps(function)
-    def result(*arguments: types.Type) -> types.Type:
+    def result(*arguments: types.Type) -> Any:
         block = ir.Function(ir.Module(), ir.FunctionType(ir.VoidType(), ()), "trial").append_basic_block()
         values = (_values(ir.IRBuilder(block), type_, None, None) for type_ in arguments)
         return _type_of(function(*values))
@@ -138,9 +138,9 @@ def _lowering(function: Callable[..., Any]) -> Any:
 def _values(builder: Any, type_: types.Type, value: Any, context: Any) -> Any:
     """An argument as ``Value`` or tuple of values; undefined without a context, to find the type of a result."""
     if isinstance(type_, types.BaseTuple):
-        parts: Any = enumerate(type_)
         extract = (lambda k: None) if context is None else lambda k: builder.extract_value(value, k)
-        return tuple(_values(builder, part, extract(k), context) for k, part in parts)
+        parts: Any = type_
+        return tuple(_values(builder, part, extract(k), context) for k, part in enumerate(parts))
     if isinstance(type_, types.Array):
         pointer = LanesType(type_.dtype).vector.as_pointer()
         if context is None:

@@ -124,12 +124,7 @@ class Method(ABC):
 
     @abstractmethod
     def run(
-        self,
-        lanes: Sequence[KernelArguments],
-        time_step: float,
-        nodes_per_pitch: int,
-        first_sample: int,
-        sample_every: int,
+        self, lanes: Sequence[KernelArguments], time_step: float, per_pitch: int, first_sample: int, sample_every: int
     ) -> float:
         """Advance up to ``width`` probes of one kind by the rows of their inputs.
 
@@ -138,7 +133,7 @@ class Method(ABC):
         Args:
             lanes: the probes, with equal numbers of steps, points and samples.
             time_step: [s].
-            nodes_per_pitch: nodes in a float pitch.
+            per_pitch: nodes in a float pitch.
             first_sample: steps until the first sample.
             sample_every: steps between samples.
 

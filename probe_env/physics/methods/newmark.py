@@ -78,12 +78,7 @@ class Newmark(Method):
         return chain, self.scheme(time_step)
 
     def run(
-        self,
-        lanes: Sequence[KernelArguments],
-        time_step: float,
-        nodes_per_pitch: int,
-        first_sample: int,
-        sample_every: int,
+        self, lanes: Sequence[KernelArguments], time_step: float, per_pitch: int, first_sample: int, sample_every: int
     ) -> float:
         """See ``Method.run``; the group is one probe."""
         (lane,) = lanes

@@ -121,13 +121,6 @@ def node_equation(chain, scheme, feed_speed, slope, air, state, i, P, q):
     q[i, 2] = q_t
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH)
-def node_equations(chain, scheme, inputs, root, state, work):
-    """All P_j and q_j of one step, for separate solvers."""
-    for i in range(root):
-        node_equation(chain, scheme, inputs[SPEED], inputs[SLOPE], inputs[AIR], state, i, work.P, work.q)
-
-
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
 def update_node(scheme, state, i, x, y, t):
     """d, v and a of node i at the new time from the solution of (17)-(18); False if it has diverged."""
@@ -146,18 +139,6 @@ def update_node(scheme, state, i, x, y, t):
             state.v[i, c] = scheme.B_v * new + (scheme.v_d * d + scheme.v_v * v + scheme.v_a * a)  # (16)
             state.memory[i, c] = a_solved
     return abs(x) < OVERFLOW and abs(y) <= DIVERGED_RADIAL and abs(t) < OVERFLOW
-
-
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH)
-def apply_solution(scheme, state, solution, axial_force):
-    """Update the state from a solution (n, 3) of (17)-(18); returns the first diverged node or -1."""
-    diverged = -1
-    for i in range(len(axial_force)):
-        x, y, t = solution[i, 0], solution[i, 1], solution[i, 2]
-        if not update_node(scheme, state, i, x, y, t) and diverged < 0:
-            diverged = i
-        state.axial_force[i] = axial_force[i]
-    return diverged
 
 
 @njit(nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)

@@ -78,11 +78,7 @@ class Run:
     shapes: Shapes | None = None
 
     def column(self, point: str | float) -> int:
-        """Index of a point's column.
-
-        Raises:
-            ValueError: the run has no such point.
-        """
+        """Index of a point's column."""
         name = point_name(point)
         if name not in self.points:
             raise ValueError(f"point {name!r} was not recorded; this run has {', '.join(self.points)}")
@@ -129,9 +125,6 @@ class Run:
 
         Returns:
             the axes.
-
-        Raises:
-            ValueError: no such quantity.
         """
         if quantity not in QUANTITIES:
             raise ValueError(f"quantity = {quantity!r} is not one of {', '.join(QUANTITIES)}")
@@ -200,9 +193,6 @@ class Recorder:
         nodes: (p,) sampled nodes; -1 is the root, which moves as the probe grows.
         steps: number of steps of the run.
         every: steps between samples.
-
-    Raises:
-        ValueError: the samples exceed ``MOST_SAMPLES``.
     """
 
     def __init__(
@@ -256,9 +246,6 @@ def node_of(point: str | float, sensor: int, length: float, element_length: floa
         sensor: node of the sensor.
         length: inserted length [m].
         element_length: [m].
-
-    Raises:
-        ValueError: there is no such point.
     """
     if isinstance(point, str):
         named = {"sensor": sensor, "tip": 0, "root": -1}
@@ -283,11 +270,7 @@ def check_size(rows: int, points: int) -> None:
 
 
 def snapshot_steps(snapshots: Sequence[float], time_step: float, first: int, steps: int) -> list[int]:
-    """Steps after which snapshots are due, from their times [s], for a run that begins with step ``first``.
-
-    Raises:
-        ValueError: not on a time step of the run, or not ascending.
-    """
+    """Steps after which snapshots are due, from their times [s], for a run that begins with step ``first``."""
     ratios = [time / time_step - first for time in snapshots]
     for time, ratio in zip(snapshots, ratios, strict=True):
         if not (-1e-6 <= ratio <= steps + 1e-6 and abs(ratio - round(ratio)) <= 1e-6):

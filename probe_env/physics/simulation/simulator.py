@@ -218,11 +218,7 @@ class Simulator:
         self.drive.growth = 0.0
 
     def displace(self, radial: FloatArray) -> None:
-        """Displace the free nodes radially by ``radial`` (root,), tip first [m], as a disturbance.
-
-        Raises:
-            ValueError: another shape.
-        """
+        """Displace the free nodes radially by ``radial`` (root,), tip first [m], as a disturbance."""
         if radial.shape != (self.root,):
             raise ValueError(f"radial of shape {radial.shape}: one displacement for each of {self.root} free nodes")
         self.state.d[: self.root, 1] += radial
@@ -405,11 +401,7 @@ class Simulator:
             self.drive.air_speed_target = air_speed(self.scene, float(air_supply_rate))
 
     def set_friction(self, friction: float) -> None:
-        """Change the coefficient of friction.
-
-        Raises:
-            ValueError: out of range.
-        """
+        """Change the coefficient of friction."""
         within("friction", friction, 0.0, 1.0, "")
         self.chain = self.chain._replace(friction=float(friction))
         self.constants = self._constants()

@@ -3,9 +3,9 @@
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from oracles import banded
 from oracles.chains import uniform_chain
 
-from probe_env.physics.methods import ticm
 from probe_env.physics.methods.newmark import newmark, workspace
 from probe_env.physics.model.state import at_rest
 
@@ -27,7 +27,7 @@ def added_force(chain, bare, y, v_x, v_t, y_new):
     forces = []
     for one in (chain, bare):
         work = workspace(2)
-        ticm.node_equations(one, newmark(1e-4), INPUTS, 1, state, work)
+        banded.node_equations(one, newmark(1e-4), INPUTS, 1, state, work)
         P, q = work.P[0], work.q[0]
         forces.append(np.array([q[0] - P[1] * y_new, q[1] - P[2] * y_new, q[2] - P[4] * y_new]))
     return forces[0] - forces[1]

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from oracles import banded
 from oracles.chains import uniform_chain
 
 from probe_env import Fidelity, Scene, Simulator, SimulatorBatch
@@ -12,7 +13,7 @@ from probe_env.envs.episodes.predicted import check_task
 from probe_env.envs.task import TaskConfig
 from probe_env.envs.vibration_map import stored_map
 from probe_env.physics.closed_forms import steady_tensions
-from probe_env.physics.methods import METHODS, ticm
+from probe_env.physics.methods import METHODS
 from probe_env.physics.methods.newmark import newmark, workspace
 from probe_env.physics.model.chain import build_chain
 from probe_env.physics.model.state import at_rest
@@ -51,7 +52,7 @@ def test_force_on_one_float(y, depth, v_x, direction):
     found = []
     for one in (chain, chain._replace(float_weight=w)):
         work = workspace(2)
-        ticm.node_equations(one, newmark(1e-4), np.array([0.2, 0.0, 0.0, 0.0]), 1, state, work)
+        banded.node_equations(one, newmark(1e-4), np.array([0.2, 0.0, 0.0, 0.0]), 1, state, work)
         found.append((work.P[0].copy(), work.q[0].copy()))
     (P, q), (P_weight, q_weight) = found
     normal = k * depth

@@ -230,11 +230,7 @@ class Superelement(LaneMethod):
     def constants(
         self, chain: Chain, sensor: int, nodes_per_pitch: int, time_step: float
     ) -> tuple[FloatArray, Tables, FloatArray | None]:
-        """Parameters and tables of a probe, and the drag of each float if it differs within guide or carrier.
-
-        Raises:
-            ValueError: contact of the cable, or a couple from the tangent.
-        """
+        """Parameters and tables of a probe, and the drag of each float if it differs within guide or carrier."""
         self.check_chain(chain, sensor, nodes_per_pitch)
         if chain.cable_stiffness > 0.0:
             raise ValueError(f"contact.cable = true: superelement has no nodes between floats; {INSTEAD}")
@@ -270,17 +266,12 @@ class Superelement(LaneMethod):
         return *room(constants[1]), bool(constants[0][layout.WEIGHT] > 0.0)
 
     def run(
-        self,
-        lanes: Sequence[KernelArguments],
-        time_step: float,
-        nodes_per_pitch: int,
-        first_sample: int,
-        sample_every: int,
+        self, lanes: Sequence[KernelArguments], time_step: float, per_pitch: int, first_sample: int, sample_every: int
     ) -> float:
         """See ``Method.run``."""
         if len(lanes) == 1:
-            return self._run_single(lanes[0], time_step, nodes_per_pitch, first_sample, sample_every)
-        per_pitch, members = nodes_per_pitch, [lane.constants[1] for lane in lanes]
+            return self._run_single(lanes[0], time_step, per_pitch, first_sample, sample_every)
+        members = [lane.constants[1] for lane in lanes]
         even, odd = room(members[0])
         used, width, precision = len(lanes), self.width, self.precision
         fields, last = MODES + 2 * (even + odd), max(len(t.factors) for t in members) - 1

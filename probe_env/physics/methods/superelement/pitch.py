@@ -114,9 +114,6 @@ def condensed(chain: Chain, modes: int) -> Pitch:
     """A chain of n >= 2 elements condensed to one piece with a number of modes.
 
     The end nodes have half their mass, so that pieces in a row form a chain.
-
-    Raises:
-        ValueError: the number of modes is negative or larger than that of the mesh.
     """
     mass, stiffness, couple, axial = _mesh(chain)
     size = len(mass)

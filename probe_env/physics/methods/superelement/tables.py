@@ -102,11 +102,7 @@ def _longest_step(linear: tuple[float, ...], stiffness: float, per_pitch: int, l
 
 
 def _modes(whole: Pitch, chain: Chain, stiffness: float, per_pitch: int, elements: int) -> tuple[int, int]:
-    """Numbers of even and odd modes for a contact stiffness, at least ``LEAST``.
-
-    Raises:
-        ValueError: more than the kernel or the shortest piece at the root supports.
-    """
+    """Numbers of even and odd modes for a contact stiffness, at least ``LEAST``."""
     reach = REACH * contact_frequency(chain, stiffness)
     below, kinds = whole.frequencies[: whole.modes] <= reach, (whole.even, ~whole.even)
     even, odd = (min(max(n, int((below & kind).sum())), int(kind.sum())) for n, kind in zip(LEAST, kinds, strict=True))
