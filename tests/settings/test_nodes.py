@@ -71,11 +71,11 @@ def test_an_evaluation_by_auto_uses_its_tubes():
     assert plan.fidelity == episodes.fidelity != resolve_fidelity("auto:0.5")
 
 
-def test_an_evaluation_keeps_what_it_was_simulated_with():
+def test_an_evaluation_keeps_what_it_was_simulated_with(tmp_path):
     """In the plan, so in setting and manifest, also at half the step and where a finer fidelity checks it."""
     case = load_case(Plant.model_validate(SHORT | CABLE), "test", 1)
     plan = plan_of(["constant"], case, 1, "fast")
     assert plan.fidelity == resolve_fidelity("fast", Scene.model_validate(CABLE))
-    assert plan.setting()["fidelity"] == plan.fidelity.model_dump()
+    assert plan.folder(tmp_path).identity["fidelity"] == plan.fidelity.model_dump()
     episodes = Episodes(1, plan.config, threads=1, fidelity=PRESETS["fast"])
     assert episodes.fidelity == plan.fidelity

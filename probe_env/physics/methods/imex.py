@@ -46,6 +46,13 @@ from probe_env.physics.model.state import DIVERGED_RADIAL
 
 
 @part
+def sample_due(step, sampling):
+    """Row of the sample that is due after a step, or -1."""
+    done = step + 1 - sampling[0]
+    return done // sampling[1] if done >= 0 and done % sampling[1] == 0 else -1
+
+
+@part
 def after_step(parameters, state, inputs, step, sampling, roots, failed):
     """Sampling, failure and growth after a step; returns True if no lane is running.
 
@@ -54,10 +61,8 @@ def after_step(parameters, state, inputs, step, sampling, roots, failed):
     V is added. ``failed`` (lanes,) is the step at which a lane diverged, counted from 1, 0 before, -1 for an idle lane.
     ``roots`` (lanes,) change.
     """
-    first, every, points, samples, tension = sampling
-    row, k = (step + 1 - first) // every, step * INPUTS
-    due = row >= 0 and step + 1 - first == row * every
-    running = 0
+    _, _, points, samples, tension = sampling
+    row, k, running = sample_due(step, sampling), step * INPUTS, 0
     for lane in range(len(failed)):
         if failed[lane] != 0:
             continue
@@ -65,7 +70,7 @@ def after_step(parameters, state, inputs, step, sampling, roots, failed):
             failed[lane] = step + 1
             continue
         running += 1
-        if due:
+        if row >= 0:
             for p in range(len(points)):
                 node = points[p, lane] if points[p, lane] >= 0 else roots[lane]
                 for field in range(3):

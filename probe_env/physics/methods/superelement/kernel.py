@@ -21,7 +21,15 @@ from typing import NamedTuple
 
 from probe_env.arrays import FloatArray
 from probe_env.physics.methods.factors import linear_weights
-from probe_env.physics.methods.imex import float_at, float_forces, less_product, load_floats, load_wall, magnitude
+from probe_env.physics.methods.imex import (
+    float_at,
+    float_forces,
+    less_product,
+    load_floats,
+    load_wall,
+    magnitude,
+    sample_due,
+)
 from probe_env.physics.methods.lane_group import CURVATURE, DAMPING, PEAK, ROOT, TENSION, WEIGHT
 from probe_env.physics.methods.lanes import (
     kernel,
@@ -121,51 +129,57 @@ def grow(tables, state, fields, wide, root, lane):
 
 
 @part
-def displacement(tables, state, fields, wide, root, lane, node, component):
-    """X, y or theta at a node; floats as in ``grow``."""
-    if node >= root:
-        return 0.0
-    per_pitch, modes = tables.pieces.shape[1] - 1, (fields - MODES) // 2
-    i = node // per_pitch
-    q, k = i // wide * fields, lane + i % wide
-    if node == i * per_pitch:
-        return float(state[q + X + component, k])
-    ahead, k_ahead = (i + 1) // wide * fields, lane + (i + 1) % wide
-    row = tables.shape[lane, min(root - i * per_pitch, per_pitch) - 1, node - i * per_pitch, component]
+def displacement(tables, state, fields, lane, length, node, component, near, near_lane, far, far_lane):
+    """X, y or theta at a node of a piece of ``length`` nodes; its floats have the rows near and far of the state."""
+    row = tables.shape[lane, length - 1, node, component]
     value = 0.0
     for c in range(3):
-        value += row[c] * state[q + X + c, k] + row[3 + c] * state[ahead + X + c, k_ahead]
-    for j in range(modes):
-        value += row[6 + j] * state[q + MODES + 2 * j, k]
+        value += row[c] * state[near + X + c, near_lane] + row[3 + c] * state[far + X + c, far_lane]
+    for j in range((fields - MODES) // 2):
+        value += row[6 + j] * state[near + MODES + 2 * j, near_lane]
     return value
 
 
 @kernel
 def displacements(tables, state, fields, wide, root, lane, d):
-    """Displacements at all nodes of a probe; floats as in ``grow``."""
-    for node in range(root):
-        for c in range(3):
-            d[node, c] = displacement(tables, state, fields, wide, root, lane, node, c)
+    """Displacements at all nodes of a probe between floats; floats as in ``grow``."""
+    per_pitch = tables.pieces.shape[1] - 1
+    for i in range((root - 1) // per_pitch + 1):
+        q, k = i // wide * fields, lane + i % wide
+        far, far_lane = (i + 1) // wide * fields, lane + (i + 1) % wide
+        length = min(root - i * per_pitch, per_pitch)
+        for node in range(1, length):
+            for c in range(3):
+                d[i * per_pitch + node, c] = displacement(
+                    tables, state, fields, lane, length, node, c, q, k, far, far_lane
+                )
 
 
 @part
-def sample(tables, state, fields, wide, root, lane, step, sampling):
-    """Store the samples of a probe if they are due; ``sampling`` as in ``imex_advance``, floats as in ``grow``.
+def sample(tables, state, fields, wide, root, lane, row, sampling):
+    """Store a sample of a probe; ``sampling`` as in ``imex.after_step``, floats as in ``grow``.
 
     The axial forces of the pieces are added to ``tension`` (rows, lanes), unless it is empty.
     """
-    first, every, points, samples, tension = sampling
-    row = (step + 1 - first) // every
-    if row < 0 or step + 1 - first != row * every:
-        return
+    _, _, points, samples, tension = sampling
     per_pitch = tables.pieces.shape[1] - 1
     outermost = (root - 1) // per_pitch
     for p in range(len(points)):
         node = points[p, lane] if points[p, lane] >= 0 else root
-        for c in range(3):
-            samples[row, p, c, lane] = displacement(tables, state, fields, wide, root, lane, node, c)
         i = min(node // per_pitch, outermost)
-        samples[row, p, 3, lane] = state[i // wide * fields + V, lane + i % wide]
+        q, k = i // wide * fields, lane + i % wide
+        far, far_lane = (i + 1) // wide * fields, lane + (i + 1) % wide
+        length = min(root - i * per_pitch, per_pitch)
+        for c in range(3):
+            if node == root:
+                samples[row, p, c, lane] = 0.0
+            elif node == i * per_pitch:
+                samples[row, p, c, lane] = state[q + X + c, k]
+            else:
+                samples[row, p, c, lane] = displacement(
+                    tables, state, fields, lane, length, node - i * per_pitch, c, q, k, far, far_lane
+                )
+        samples[row, p, 3, lane] = state[q + V, k]
     for i in range(min(len(tension), outermost + 1)):
         tension[i, lane] += state[i // wide * fields + V, lane + i % wide]
 
@@ -176,7 +190,7 @@ def after_step(
 ):  # fmt: skip
     """Sampling, failure and growth after a step; True if no lane is running."""
     per_pitch = tables.pieces.shape[1] - 1
-    running, moved = 0, False
+    running, moved, row = 0, False, sample_due(step, sampling)
     for lane in range(len(failed)):
         if failed[lane] != 0:
             continue
@@ -184,7 +198,8 @@ def after_step(
             failed[lane] = step + 1
             continue
         running += 1
-        sample(tables, state, fields, 1, roots[lane], lane, step, sampling)
+        if row >= 0:
+            sample(tables, state, fields, 1, roots[lane], lane, row, sampling)
         if inputs[step * INPUTS + APPEND, lane] > 0.0:
             grow(tables, state, fields, 1, roots[lane], lane)
             roots[lane] += 1

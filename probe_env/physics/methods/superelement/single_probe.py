@@ -10,7 +10,7 @@ Field f of float i is in row (i // lanes) fields + f of the state, lane i % lane
 from __future__ import annotations
 
 from probe_env.physics.methods.factors import linear_weights
-from probe_env.physics.methods.imex import load_wall, magnitude
+from probe_env.physics.methods.imex import load_wall, magnitude, sample_due
 from probe_env.physics.methods.lane_group import CURVATURE, DAMPING, PEAK, TENSION, WEIGHT
 from probe_env.physics.methods.lanes import (
     PART,
@@ -201,7 +201,9 @@ def superelement_advance_single(
             inside = inside and parameters[PEAK, lane] <= DIVERGED_RADIAL
         if not inside:
             return step + 1, root
-        sample(tables, state, fields, lanes, root, 0, step, sampling)
+        row = sample_due(step, sampling)
+        if row >= 0:
+            sample(tables, state, fields, lanes, root, 0, row, sampling)
         if inputs[step, APPEND] > 0.0:
             grow(tables, state, fields, lanes, root, 0)
             root += 1
