@@ -25,7 +25,7 @@ $(STAMP): pyproject.toml constraints.txt
 	touch $(STAMP)
 
 demo: setup
-	$(BIN)/probe-env evaluate constant slow-down pi configs/schedules/example.csv --limit 6 --fidelity fast --output output/demo
+	$(BIN)/probe-env evaluate constant slow-down pi configs/schedules/example.csv --limit 6 --output output/demo
 
 lint: setup
 	$(BIN)/ruff check .
