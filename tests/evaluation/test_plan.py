@@ -137,7 +137,7 @@ def test_bad_arguments_are_named_and_nothing_is_written(tmp_path):
         ((["constant"], "validation", 0, 0), "seeds = 0"),
         (([], "validation", 0, 1), "at least one is needed"),
         ((["pi", "pi"], "validation", 0, 1), "names must differ"),
-        ((["fastest"], "validation", 0, 1), "policy = 'fastest'"),
+        ((["fastest"], "validation", 0, 1), "unknown policy 'fastest'"),
         ((["pi"], "validation", 1, 1, "slow"), "against = 'slow' is not one of the policies: pi"),
     ):
         with pytest.raises(ValueError, match=message):
