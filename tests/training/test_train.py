@@ -243,7 +243,6 @@ BROKEN = {
     "[learning]\nuse_sde = true": "learning.use_sde",
     "[learning]\nbatch_size = 1": "learning.batch_size: ",
     "[learning]\ngamma = 1.5": "gamma: 1.5 is outside the accepted range 0 to 1",
-    "[environment]\nenv_id = 'probe_env/Snapshot-v1'": "skips metres of an insertion",
     "[network]\nnet_arch = [1000000]": "network.net_arch",
     "[environment]\nfidelity = 'fastest'": "fidelity = 'fastest'",
     "[environment]\nfidelity = { time_lapse = 16.0 }": "not a whole number",
