@@ -105,21 +105,13 @@ class Design(Model):
         return (base or Probe()).model_copy(update=self.built.model_dump())
 
     def cut_to(self, scene: Scene) -> Design:
-        """The nearest design whose floats fit the bore and the cable of a scene.
-
-        Raises:
-            ValueError: no float of the design space fits.
-        """
+        """The nearest design whose floats fit the bore and the cable of a scene; ValueError if none fits."""
         ranges = ranges_in(scene)
         cut = {name: min(max(getattr(self, name), low), high) for name, (low, high, _) in ranges.items()}
         return self if cut == self.model_dump() else self.model_copy(update=cut)
 
     def completed(self, base: Probe) -> Design:
-        """The design with fields that were not set taken from a probe.
-
-        Raises:
-            ValueError: such a value is outside the design space.
-        """
+        """The design with fields that were not set taken from a probe, which must be in the design space."""
         rest = {name: getattr(base, name) for name in RANGES if name not in self.model_fields_set}
         for name, value in rest.items():
             low, high, unit = RANGES[name]

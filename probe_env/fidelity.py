@@ -31,7 +31,6 @@ from pydantic import (
     model_serializer,
     model_validator,
 )
-from pydantic_core import PydanticCustomError
 
 from probe_env.arrays import FloatArray
 from probe_env.physics.methods import METHODS, check_step, method_names
@@ -63,7 +62,7 @@ def _method_of(method: object) -> object:
     if not isinstance(method, str):
         return method
     if method not in (*METHODS, SURROGATE):
-        raise PydanticCustomError("method", "{text}", {"text": f"not one of {', '.join((*METHODS, SURROGATE))}"})
+        raise ValueError(f"not one of {', '.join((*METHODS, SURROGATE))}")
     return METHODS.get(method)
 
 
@@ -88,16 +87,13 @@ class Fidelity(Model):
     @model_validator(mode="after")
     def _fields_fit_together(self) -> Self:
         if self.steady_feed is not None and self.time_lapse == 1.0:
-            raise PydanticCustomError("time_lapse", "steady_feed needs a time_lapse above 1, but time_lapse is 1")
+            raise ValueError("steady_feed needs a time_lapse above 1, but time_lapse is 1")
         if self.method is not None:
-            try:
-                check_step(self.method, self.time_step)
-            except ValueError as error:
-                raise PydanticCustomError("rounding", "{text}", {"text": str(error)}) from error
+            check_step(self.method, self.time_step)
             return self
         for name, info in type(self).model_fields.items():
             if name != "method" and getattr(self, name) != info.default:
-                raise PydanticCustomError("surrogate", f"{name}: not accepted, method = 'surrogate' does not simulate")
+                raise ValueError(f"{name}: not accepted, method = 'surrogate' does not simulate")
         return self
 
     @model_serializer(mode="wrap")

@@ -12,7 +12,6 @@ from typing import Annotated, Any, Literal, Self
 
 import tomli_w
 from pydantic import ValidationError, model_validator
-from pydantic_core import PydanticCustomError
 
 from probe_env.settings import Model, quantity
 
@@ -127,34 +126,34 @@ class Scene(Model):
             diameter = getattr(probe, name)
             if diameter >= tube.clear_diameter:
                 oval = f" less half of tube.ovality = {tube.ovality:g}" if tube.ovality else ""
-                raise _impossible(
+                raise ValueError(
                     f"probe.{name} = {diameter:g} m must be less than tube.inner_diameter = {tube.inner_diameter:g} m"
                     + oval
                 )
             if diameter <= probe.cable_diameter:
-                raise _impossible(
+                raise ValueError(
                     f"probe.{name} = {diameter:g} m must be greater than probe.cable_diameter ="
                     f" {probe.cable_diameter:g} m"
                 )
         for name, length in (("carrier_length", self.carrier_length), ("probe.guide_length", probe.guide_length)):
             pitches = round(length / probe.float_pitch)
             if abs(length - pitches * probe.float_pitch) > LENGTH_TOLERANCE:
-                raise _impossible(
+                raise ValueError(
                     f"{name} = {length:g} m must be a whole multiple of probe.float_pitch ="
                     f" {probe.float_pitch:g} m (nearest: {pitches * probe.float_pitch:g} m)"
                 )
         if self.carrier_length < probe.float_pitch - LENGTH_TOLERANCE:
-            raise _impossible(
+            raise ValueError(
                 f"carrier_length = {self.carrier_length:g} m must be at least one probe.float_pitch ="
                 f" {probe.float_pitch:g} m, else the sensor sits at the held root"
             )
         if self.inserted_length > tube.helix_length + LENGTH_TOLERANCE:
-            raise _impossible(
+            raise ValueError(
                 f"carrier_length + probe.guide_length = {self.carrier_length:g} + {probe.guide_length:g} m"
                 f" must not exceed tube.helix_length = {tube.helix_length:g} m"
             )
         if probe.float_pitch > 0.5 * tube.helix_diameter:
-            raise _impossible(
+            raise ValueError(
                 f"probe.float_pitch = {probe.float_pitch:g} m must not exceed half of tube.helix_diameter ="
                 f" {tube.helix_diameter:g} m: the cable between two floats would cut the helix"
             )
@@ -184,7 +183,3 @@ class Scene(Model):
 def whole_pitches(length: float, probe: Probe) -> float:
     """A length rounded down to whole float pitches [m]."""
     return round(int(length / probe.float_pitch + 1e-9) * probe.float_pitch, 6)
-
-
-def _impossible(message: str) -> PydanticCustomError:
-    return PydanticCustomError("impossible_geometry", "{message}", {"message": message})

@@ -106,23 +106,12 @@ class Schedule:
             FileNotFoundError: no such file.
             FileError: not a valid schedule; names file, line, column, value and accepted range.
         """
-        path = Path(path)
-        if path.suffix not in (".csv", ".toml"):
-            raise FileError(path, "a schedule must be a .csv or a .toml file")
-        return schedule_of_rows(path, *(_from_csv(path) if path.suffix == ".csv" else _from_toml(path)))
+        return schedule_of_rows(Path(path), *schedule_rows(Path(path)))
 
     @classmethod
     def read_withdrawal(cls, path: str | Path) -> Schedule | None:
-        """Read feed speed and air supply of withdrawal from a schedule over inserted length.
-
-        Returns:
-            the schedule, or None if the file has no column of ``WITHDRAWAL``.
-
-        Raises:
-            FileNotFoundError, FileError: as ``read``; only one of the columns, or a schedule over time.
-        """
-        path = Path(path)
-        return withdrawal_of_rows(path, *(_from_csv(path) if path.suffix == ".csv" else _from_toml(path)))
+        """Read the withdrawal of a schedule over inserted length; None if the file has no column of ``WITHDRAWAL``."""
+        return withdrawal_of_rows(Path(path), *schedule_rows(Path(path)))
 
     def to_csv(self) -> str:
         """The schedule as CSV text for ``read``."""
@@ -133,6 +122,13 @@ class Schedule:
         for *points, feed, air in zip(*columns.values(), self.feed_speed, self.air_supply_rate, strict=True):
             lines.append(",".join((*(f"{point:g}" for point in points), f"{feed:.6g}", f"{air * 3600.0:.6g}")))
         return "\n".join(lines) + "\n"
+
+
+def schedule_rows(path: Path) -> tuple[str, list[Row]]:
+    """Interpolation and rows of a file, unchecked but for the columns."""
+    if path.suffix not in (".csv", ".toml"):
+        raise FileError(path, "a schedule must be a .csv or a .toml file")
+    return _from_csv(path) if path.suffix == ".csv" else _from_toml(path)
 
 
 def schedule_of_rows(path: Path, interpolation: str, rows: Sequence[Row]) -> Schedule:
@@ -171,7 +167,8 @@ def _from_csv(path: Path) -> tuple[str, list[Row]]:
             if header and not any(map(str.strip, row[len(header) :])):  # commas behind the last value
                 del row[len(header) :]
             if not header:
-                header = _header(path, line, row)
+                header = [name.strip() for name in row]
+                _check_header(path, line, header)
             elif len(row) != len(header):
                 hint = SEPARATORS if len(row) > len(header) or any(";" in cell for cell in row) else ""
                 raise FileError(path, f"line {line} has {len(row)} values for {len(header)} columns{hint}")
@@ -187,15 +184,13 @@ def _from_csv(path: Path) -> tuple[str, list[Row]]:
     return interpolation, named or [("header", dict.fromkeys(header))]
 
 
-def _header(path: Path, line: int, row: list[str]) -> list[str]:
-    header = [name.strip() for name in row]
+def _check_header(path: Path, line: int, header: list[str]) -> None:
     if len(header) > MOST_COLUMNS:
         raise FileError(path, f"line {line}: {len(header)} columns are more than {MOST_COLUMNS}")
     for name in header:
         if name and header.count(name) > 1:
             raise FileError(path, f"column {name!r} appears {header.count(name)} times in the header")
     _check_columns(path, header)
-    return header
 
 
 def _from_toml(path: Path) -> tuple[str, list[Row]]:
@@ -233,33 +228,22 @@ def _validated(
     if rows[0][0] == "header":
         raise FileError(path, "no rows: at least one is needed")
     column = next(name for name in POSITIONS if name in rows[0][1])
-    over, most, unit = POSITIONS[column]
-    ranges = {columns[name]: range_ for name, range_ in RANGES.items()}
-    values: dict[str, list[float]] = {column: [], columns[FEED]: [], columns[AIR]: []}
-    start, length = None, "inserted_length_m"
-    if over == "time" and length in rows[0][1]:  # initial length of a log
-        start, (_, longest, metres) = _number(path, rows[0][0], length, rows[0][1][length]), POSITIONS[length]
-        if not 0.0 <= start <= longest:
-            raise FileError(
-                path, f"{rows[0][0]}, {length} = {start!r} is outside the accepted range 0 to {longest:g} {metres}"
-            )
-    for location, row in rows:
-        for name in values:
-            low, high, its_unit = ranges.get(name, (0.0, most, unit))
-            value = _number(path, location, name, row.get(name))
-            if not low <= value <= high:
-                raise FileError(
-                    path, f"{location}, {name} = {value!r} is outside the accepted range {low:g} to {high:g} {its_unit}"
-                )
-            values[name].append(value)
-        if len(values[column]) > 1 and values[column][-1] <= values[column][-2]:
-            before, now = values[column][-2:]
+    (over, most, unit), length = POSITIONS[column], "inserted_length_m"
+    ranges = {column: (0.0, most, unit)} | {columns[name]: range_ for name, range_ in RANGES.items()}
+    position, feed, air = (
+        tuple(_number(path, location, name, row.get(name), range_) for location, row in rows)
+        for name, range_ in ranges.items()
+    )
+    for (location, _), before, now in zip(rows[1:], position[:-1], position[1:], strict=True):
+        if now <= before:
             raise FileError(path, f"{location}, {column} = {now!r} must be greater than {before!r} before it")
-    air = tuple(value / 3600.0 for value in values[columns[AIR]])
-    return Schedule(over, interpolation, tuple(values[column]), tuple(values[columns[FEED]]), air, start)
+    start = None
+    if over == "time" and length in rows[0][1]:  # initial length of a log
+        start = _number(path, rows[0][0], length, rows[0][1][length], (0.0, *POSITIONS[length][1:]))
+    return Schedule(over, interpolation, position, feed, tuple(value / 3600.0 for value in air), start)
 
 
-def _number(path: Path, location: str, name: str, value: Any) -> float:
+def _number(path: Path, location: str, name: str, value: Any, accepted: tuple[float, float, str]) -> float:
     try:
         if value is None or isinstance(value, bool):
             raise ValueError
@@ -268,4 +252,9 @@ def _number(path: Path, location: str, name: str, value: Any) -> float:
         raise FileError(path, f"{location}, {name} = {reprlib.repr(value)} is not a number") from None
     if not math.isfinite(number):
         raise FileError(path, f"{location}, {name} = {value!r} is not finite")
+    low, high, unit = accepted
+    if not low <= number <= high:
+        raise FileError(
+            path, f"{location}, {name} = {number!r} is outside the accepted range {low:g} to {high:g} {unit}"
+        )
     return number

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Self, get_args
 
 from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler, ValidationError
-from pydantic_core import CoreSchema, PydanticCustomError, core_schema
+from pydantic_core import CoreSchema, core_schema
 
 from probe_env.files import FileError, read_toml
 
@@ -35,14 +35,8 @@ class Quantity(Range):
     """Metadata of a physical quantity that is validated: finite and within [low, high] ``unit``."""
 
     def check(self, value: Any) -> Any:
-        """The value, if it is in the range."""
-        if not self.low <= value <= self.high:  # also catches NaN
-            unit = self.unit and f" {self.unit}"
-            raise PydanticCustomError(
-                "out_of_range",
-                "{value}{unit} is outside the accepted range {low} to {high}{unit}",
-                {"value": repr(value), "low": f"{self.low:g}", "high": f"{self.high:g}", "unit": unit},
-            )
+        """The value, if it is in the range; else raises ValueError with value, range and unit."""
+        within("", value, self.low, self.high, self.unit)
         return value
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
@@ -71,10 +65,8 @@ class Model(BaseModel):
         data = read_toml(path)
         try:
             return cls.model_validate(tuples(data))
-        except ValidationError as error:
-            raise FileError(path, explain(error)) from error
         except (ValueError, OverflowError) as error:
-            raise FileError(path, str(error)) from error
+            raise FileError(path, explain(error)) from error
 
     __str__ = BaseModel.__repr__
 
@@ -117,13 +109,17 @@ def _parts(annotation: Any) -> Iterator[Any]:
     yield from get_args(annotation)
 
 
-def explain(error: ValidationError, within: str = "") -> str:
-    """Pydantic's errors in one line: fields with the prefix ``within``, problems and values."""
+def explain(error: Exception, within: str = "") -> str:
+    """An error as text; pydantic's in one line: fields with the prefix ``within``, problems and values."""
+    if not isinstance(error, ValidationError):
+        return f"{within}: {error}" if within else str(error)
     lines, problems = [], error.errors(include_url=False, include_context=False)
     for item in problems[:MOST_ERRORS]:
         field = ".".join(str(part) for part in (*filter(None, [within]), *item["loc"]))
         value = "" if isinstance(item["input"], dict | Model) else f" (given: {_short(item['input'])})"
-        message = _no_such_field(error.title, item["loc"]) if item["type"] == "extra_forbidden" else item["msg"]
+        message = item["msg"].removeprefix("Value error, ")
+        if item["type"] == "extra_forbidden":
+            message = _no_such_field(error.title, item["loc"])
         lines.append(f"{field}: {message}{value}" if field else message)
     more = [f"and {len(problems) - MOST_ERRORS} more"] if len(problems) > MOST_ERRORS else []
     return "; ".join(lines + more)
@@ -173,7 +169,8 @@ def within(name: str, value: float, low: float, high: float, unit: str, exclude_
     if not low <= value <= high or (exclude_low and value == low):  # also catches NaN
         excluded = " (excluded)" if exclude_low else ""
         unit = unit and f" {unit}"
-        raise ValueError(f"{name} = {value!r}{unit} is outside the accepted range {low:g}{excluded} to {high:g}{unit}")
+        given = f"{name} = {value!r}" if name else repr(value)
+        raise ValueError(f"{given}{unit} is outside the accepted range {low:g}{excluded} to {high:g}{unit}")
 
 
 def closest(name: object, known: Iterable[str]) -> str:
@@ -191,11 +188,7 @@ def check_keywords(what: str, given: Iterable[str], known: Iterable[str]) -> Non
 
 
 def whole_steps(name: str, value: float | None, time_step: float) -> int:
-    """Number of time steps in a duration.
-
-    Raises:
-        ValueError: not a whole number to a relative accuracy of 1e-9, or less than one.
-    """
+    """Number of time steps in a duration; ValueError unless it is whole, to 1e-9 of its value, and at least 1."""
     ratio = math.nan if value is None else value / time_step
     if not (math.isfinite(ratio) and round(ratio) >= 1 and abs(ratio - round(ratio)) <= 1e-9 * ratio):
         raise ValueError(f"{name} = {value!r} s is not a whole number (1 or more) of time steps of {time_step:g} s")

@@ -15,7 +15,6 @@ from typing import Annotated, Any, Final, Literal, Self, get_args
 
 import numpy as np
 from pydantic import Field, ValidationError, model_validator
-from pydantic_core import PydanticCustomError
 
 from probe_env.scene import Scene
 from probe_env.settings import Model, explain, quantity
@@ -63,12 +62,12 @@ class Ranges(Model):
         for name in Context.model_fields:
             values = _values(getattr(self, name))
             if len(values) == 2 and values[0] > values[1]:
-                raise PydanticCustomError("range", f"{name} = {list(values)} must ascend")
+                raise ValueError(f"{name} = {list(values)} must ascend")
             for value in values:
                 try:
                     Context.model_validate({name: value})
                 except ValidationError as error:
-                    raise PydanticCustomError("context", explain(error).replace("{", "(").replace("}", ")")) from error
+                    raise ValueError(explain(error)) from error
         return self
 
     @property

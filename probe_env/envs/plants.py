@@ -18,7 +18,6 @@ from typing import Annotated, Any, Final, Literal, Self
 import numpy as np
 import numpy.typing as npt
 from pydantic import AfterValidator, BeforeValidator, Field, FiniteFloat, ValidationError, model_validator
-from pydantic_core import PydanticCustomError
 from scipy.optimize import linear_sum_assignment
 from scipy.stats import qmc, truncnorm
 
@@ -42,7 +41,7 @@ class Between(Model):
     @model_validator(mode="after")
     def _ascends(self) -> Self:
         if not self.low <= self.high:
-            raise PydanticCustomError("range", f"low = {self.low!r} must not exceed high = {self.high!r}")
+            raise ValueError(f"low = {self.low!r} must not exceed high = {self.high!r}")
         return self
 
 
@@ -60,7 +59,7 @@ def _as_figure(value: Any) -> Any:
     for kind in (Between, Normal):
         if isinstance(value, Mapping) and set(value) & set(kind.model_fields):
             return kind.model_validate(dict(value))
-    raise PydanticCustomError("figure", "must be a number, a table of low and high, or one of mean and std")
+    raise ValueError("must be a number, a table of low and high, or one of mean and std")
 
 
 Figure = Annotated[float | Between | Normal, BeforeValidator(_as_figure)]
@@ -98,10 +97,7 @@ class _Figure(Quantity):
         if isinstance(value, Between | Normal):
             named = [(name, number) for name, number in value.model_dump().items() if name != "std"]
         for name, number in named:
-            try:
-                within(name, number, self.low, self.high, self.unit)
-            except ValueError as error:
-                raise PydanticCustomError("out_of_range", "{text}", {"text": str(error)}) from None
+            within(name, number, self.low, self.high, self.unit)
         return value
 
 
@@ -155,7 +151,7 @@ def supply_in_si(fields: Mapping[str, Any]) -> dict[str, Any]:
         else:
             known[si] = tuple(n / 3600.0 for n in numbers) if numbers is value else value / 3600.0
             continue
-        raise PydanticCustomError("per_hour", "{text}", {"text": f"{name} = {value!r}: {problem}"})
+        raise ValueError(f"{name} = {value!r}: {problem}")
     return known
 
 
@@ -217,7 +213,7 @@ class Bundle(Model):
     def _withdraws_once(self) -> Self:
         if (self.withdrawal_time is None) == (self.withdrawal_speed is None):
             problem = "give withdrawal_time [s] or withdrawal_speed [m/s], one of them"
-            raise PydanticCustomError("withdrawal", "{text}", {"text": problem})
+            raise ValueError(problem)
         return self
 
 
@@ -244,7 +240,7 @@ class Posterior(Model):
     def _belong_together(self) -> Self:
         counts = {len(draws) for draws in self.draws.values()}
         if len(counts) != 1:
-            raise PydanticCustomError("draws", "must be as many draws of each quantity, and at least one quantity")
+            raise ValueError("must be as many draws of each quantity, and at least one quantity")
         return self
 
     @property
@@ -299,7 +295,7 @@ def check_draws(posterior: Posterior | None, file: Path | None = None) -> None:
             except ValueError as error:
                 if file:
                     raise FileError(file, str(error)) from None
-                raise PydanticCustomError("out_of_range", "{text}", {"text": str(error)}) from None
+                raise
 
 
 def with_posterior(plant: Mapping[str, Any], folder: Path | None = None) -> dict[str, Any]:
@@ -354,10 +350,8 @@ class Plant(Model):
             raise FileError(path, f"posterior: {error}") from error
         try:
             return cls.model_validate(tables)
-        except ValidationError as error:
-            raise FileError(path, explain(error)) from error
         except (ValueError, OverflowError) as error:
-            raise FileError(path, str(error)) from error
+            raise FileError(path, explain(error)) from error
 
     @model_validator(mode="before")
     @classmethod
@@ -374,13 +368,13 @@ class Plant(Model):
         for name in self.task:
             if name in misplaced or name in VISIBLE_FIELDS:
                 reason = f"belongs in [{misplaced[name]}]" if name in misplaced else "is set by the policy"
-                raise PydanticCustomError("task", "{text}", {"text": f"task.{name}: {reason}"})
+                raise ValueError(f"task.{name}: {reason}")
         check_draws(self.posterior)
         least, most = self._drag_factors(np.array([RARE, 1.0 - RARE]))
         low, high = FACTORS
         if not low <= least <= most <= high:
             text = f"air.drag_coefficient: {least:g} to {most:g} times its median is beyond {low:g} to {high:g} times"
-            raise PydanticCustomError("drag", "{text}", {"text": text})
+            raise ValueError(text)
         try:
             assert self.scenes
             assert self.config
@@ -388,9 +382,9 @@ class Plant(Model):
             field = str((error.errors()[0]["loc"] or ("",))[0])
             table = "task" if field in TaskConfig.model_fields or field in self.task else ""
             text = explain(error, "feed" if field in OF_FEED else "air" if field in OF_AIR else table)
-            raise PydanticCustomError("plant", "{text}", {"text": text}) from error
+            raise ValueError(text) from error
         if problem := implausible(self):
-            raise PydanticCustomError("plausible", "{text}", {"text": problem})
+            raise ValueError(problem)
         return self
 
     def _middle(self, name: str) -> float:

@@ -6,7 +6,6 @@ import math
 from typing import Annotated, Final, Self
 
 from pydantic import model_validator
-from pydantic_core import PydanticCustomError
 
 from probe_env.settings import Model, quantity
 
@@ -36,7 +35,7 @@ class Instrument(Model):
     def _samples_need_both(self) -> Self:
         if (self.sample_rate is None) != (self.samples_per_mm is None):
             missing = "sample_rate" if self.sample_rate is None else "samples_per_mm"
-            raise PydanticCustomError("samples", f"sample_rate and samples_per_mm go together: {missing} is missing")
+            raise ValueError(f"sample_rate and samples_per_mm go together: {missing} is missing")
         return self
 
     def speeds(self, flaw_width: float) -> dict[str, float]:

@@ -14,7 +14,6 @@ from typing import Annotated, Final, Self
 
 import numpy as np
 from pydantic import model_validator
-from pydantic_core import PydanticCustomError
 from scipy.special import erfc
 
 from probe_env.arrays import FloatArray
@@ -88,11 +87,7 @@ class Sensor(Model):
     @model_validator(mode="after")
     def _vibration_adds_noise(self) -> Self:
         if self.motion_gain is None and not self.shaken_snr < self.quiet_snr:
-            raise PydanticCustomError(
-                "range",
-                "shaken_snr = {shaken} must be below quiet_snr = {quiet}",
-                {"shaken": self.shaken_snr, "quiet": self.quiet_snr},
-            )
+            raise ValueError(f"shaken_snr = {self.shaken_snr} must be below quiet_snr = {self.quiet_snr}")
         return self
 
     @property

@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 
 from probe_agents.cli import main
-from probe_agents.cli.extras import EXTRAS, extra_with, modules_of
-from probe_agents.cli.registry import COMMANDS, NEEDS
+from probe_agents.cli.registry import COMMANDS, EXTRAS, NEEDS, extra_with, modules_of
 
 ROOT = Path(__file__).parents[2]
 PARTS = {"pydantic_core": "pydantic", "llvmlite": "numba"}
@@ -22,7 +21,7 @@ def metadata(monkeypatch):
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     optional = project["optional-dependencies"]
     lines = [f"{line}; extra == '{extra}'" for extra, listed in optional.items() for line in listed]
-    monkeypatch.setattr("probe_agents.cli.extras.requires", lambda _: project["dependencies"] + lines)
+    monkeypatch.setattr("probe_agents.cli.registry.requires", lambda _: project["dependencies"] + lines)
 
 
 def imported(package):

@@ -7,9 +7,8 @@ from kills import killed_at
 
 from probe_agents.cli import main
 from probe_agents.design.compare import compare, print_comparison, summarise
-from probe_agents.design.problem import OBJECTIVES, DesignProblem
 from probe_agents.design.search import best_of, search, sensitivity, trials_table
-from probe_agents.design.trials import DesignTrials
+from probe_agents.design.trials import OBJECTIVES, DesignProblem, DesignTrials
 from probe_env import Context, Design, Fidelity
 from probe_env.design import RANGES
 from probe_env.envs.task import TaskConfig

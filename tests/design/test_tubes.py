@@ -6,7 +6,7 @@ import pandas as pd
 import pytest
 
 from probe_agents.cli import main
-from probe_agents.design.problem import DesignProblem, design_problem
+from probe_agents.design.trials import DesignProblem
 from probe_agents.policies.cases import load_case, read_case
 from probe_env import Design
 
@@ -92,15 +92,15 @@ def test_designs_that_do_not_fit_are_refused(tmp_path, capsys):
 
 def test_search_stays_within_what_fits_the_plant(tmp_path, capsys, monkeypatch):
     case = read_case(tmp_path / "mine.toml", "train", 2)
-    problem = design_problem("best-constant", False, case, "standard")
+    problem = DesignProblem.of_case(case, "best-constant", False, "standard")
     assert problem.axes["guide_float_diameter"][:2] == (0.016, pytest.approx(0.0185))
     assert problem.axes["feed_speed"][1] == 0.25
     assert list(problem.probes) == ["the plant's own", "the study's improved"]
     assert problem.probes["the plant's own"].line_density == 0.13
     for start in problem.starts():
         assert all(low <= start[name] <= high for name, (low, high, _) in problem.axes.items())
-    other = design_problem("best-constant", False, read_case(tmp_path / "other.toml", "train", 2), "standard")
-    usual = design_problem("best-constant", False, load_case(None, "train", 2), "standard")
+    other = DesignProblem.of_case(read_case(tmp_path / "other.toml", "train", 2), "best-constant", False, "standard")
+    usual = DesignProblem.of_case(load_case(None, "train", 2), "best-constant", False, "standard")
     with problem.search_folder(tmp_path / "problem", 0).open():
         pass
     for another, seed, changed in ((other, 0, "tube.name"), (usual, 0, "tube.name"), (problem, 1, "seed 0, now 1")):
@@ -123,7 +123,7 @@ def test_probe_that_cannot_be_simulated_ranks_last(tmp_path, monkeypatch):
     monkeypatch.setattr("probe_agents.design.trials.try_sections", lambda *_, **__: pytest.fail("it was simulated"))
     smooth = OWN.replace("40.0", "80.0").replace("0.12", "0.02").replace("0.22", "0.03")
     (tmp_path / "smooth.toml").write_text(smooth + "[air]\ndrag_coefficient = 1.5\n")
-    problem = design_problem("best-constant", False, read_case(tmp_path / "smooth.toml", "train", 1), "standard")
+    problem = DesignProblem.of_case(read_case(tmp_path / "smooth.toml", "train", 1), "best-constant", False, "standard")
     soft = {name: low for name, (low, _, _) in problem.axes.items()}
     soft |= {name: problem.axes[name][1] for name in ("guide_length", "guide_float_diameter", "carrier_float_diameter")}
     squares, seconds, margin = problem.value(soft | {"air_supply_rate": problem.axes["air_supply_rate"][1]})
@@ -134,7 +134,7 @@ def test_probe_that_cannot_be_simulated_ranks_last(tmp_path, monkeypatch):
 def test_search_scores_over_the_length_of_the_plant(tmp_path):
     """A constant feed takes the span over it: 27.5 and 67.5 m at 0.2 m/s, unless the probe does not get through."""
     for name, span in (("mine", 27.5), ("other", 67.5)):
-        problem = design_problem("constant", False, read_case(tmp_path / f"{name}.toml", "train", 1), "standard")
+        problem = DesignProblem.of_case(read_case(tmp_path / f"{name}.toml", "train", 1), "constant", False, "standard")
         _, seconds, margin = problem.value(problem.probes["the plant's own"].model_dump())
         assert seconds == pytest.approx(span / 0.2)
         assert margin > 0.0

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from kills import alive
 
-from probe_agents.design.problem import DesignProblem
+from probe_agents.design.trials import DesignProblem
 from probe_agents.evaluation.plan import Plan, run_plan
 from probe_agents.evaluation.workers import Workers
 from probe_agents.policies.fixed import Constant

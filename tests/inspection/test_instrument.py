@@ -58,15 +58,27 @@ def test_the_permitted_feed_is_a_step_of_the_device():
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("bandwidth = 0.0", "instrument.bandwidth: 0.0 Hz is outside the accepted range 0.1 to 1e+06 Hz"),
-        ("sample_rate = 1e3", "instrument: sample_rate and samples_per_mm go together: samples_per_mm is missing"),
-        ("band = 3.0", "instrument.band: there is no such field; accepted: sample_rate, samples_per_mm, bandwidth"),
-        ("bandwidth = 1.0", "instrument.bandwidth permits at most 0.01 m/s, and feed_speeds begin at 0.02 m/s"),
+        ("sensor.flaw_width = 0.0", "sensor.flaw_width: 0.0 m is outside the accepted range 0.001 to 0.5 m"),
+        ("sensor.shaken_snr = 8.0", "shaken_snr = 8.0 must be below quiet_snr = 7.5"),
+        ("sensor.gain = 3.0", "sensor.gain: there is no such field; accepted: flaw_width, groove_signal"),
+        ("instrument.bandwidth = 0.0", "instrument.bandwidth: 0.0 Hz is outside the accepted range 0.1 to 1e+06 Hz"),
+        (
+            "instrument.sample_rate = 1e3",
+            "instrument: sample_rate and samples_per_mm go together: samples_per_mm is missing",
+        ),
+        (
+            "instrument.band = 3.0",
+            "instrument.band: there is no such field; accepted: sample_rate, samples_per_mm, bandwidth",
+        ),
+        (
+            "instrument.bandwidth = 1.0",
+            "instrument.bandwidth permits at most 0.01 m/s, and feed_speeds begin at 0.02 m/s",
+        ),
     ],
 )
 def test_errors_name_field_value_and_cause(tmp_path, text, message):
     path = tmp_path / "tube.toml"
-    path.write_text(f"[instrument]\n{text}\n")
+    path.write_text(text)
     with pytest.raises(ValueError, match=re.escape(str(path)) + ": .*" + re.escape(message)):
         Plant.from_toml(path)
 

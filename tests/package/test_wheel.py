@@ -19,7 +19,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from probe_agents.cli.extras import EXTRAS, modules_of
+from probe_agents.cli.registry import EXTRAS, modules_of
 from probe_agents.records.shipped import shipped_agents, shipped_names
 from probe_env.kernel_cache import STAMP
 

@@ -10,14 +10,7 @@ from scipy.integrate import quad
 from scipy.stats import norm
 
 from probe_agents.policies.cases import plant_at
-from probe_agents.policies.on_map import (
-    Adaptive,
-    Privileged,
-    best_schedule_for,
-    expected_costs,
-    grid,
-    knots,
-)
+from probe_agents.policies.on_map import Adaptive, Privileged, best_schedule_for, expected_costs, grid, knots
 from probe_agents.policies.view import HALF_RANGE, MIDDLE, View
 from probe_agents.studies.searches import search_schedule
 from probe_agents.studies.vibration_map import Wandering, fit_map

@@ -12,7 +12,7 @@ from gymnasium.utils.env_checker import check_env
 from ray.cluster_utils import Cluster
 
 import probe_env
-from probe_agents.design.problem import DesignProblem
+from probe_agents.design.trials import DesignProblem
 from probe_agents.evaluation.plan import Plan, run_plan
 from probe_agents.evaluation.workers import Workers
 from probe_agents.policies.fixed import Constant

@@ -44,7 +44,7 @@ def _run(arguments: Sequence[str]) -> int:
     from difflib import get_close_matches
     from importlib import import_module
 
-    from probe_agents.cli.registry import COMMANDS, NEEDS, first_page
+    from probe_agents.cli.registry import COMMANDS, NEEDS, extra_with, first_page
 
     name = arguments[0] if arguments else ""
     if name in ("", "-h", "--help"):
@@ -59,7 +59,6 @@ def _run(arguments: Sequence[str]) -> int:
         closest = get_close_matches(name, COMMANDS, n=1)
         hint = f"did you mean {closest[0]}?" if closest else f"the commands are {', '.join(COMMANDS)}."
         return _fail(f"there is no command {name!r}: {hint} See probe-env --help")
-    from probe_agents.cli.extras import extra_with
     from probe_agents.terminal.messages import format_error
     from probe_env import SimulationError
     from probe_env.files import one_line

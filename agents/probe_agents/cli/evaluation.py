@@ -256,14 +256,7 @@ class Signal:
         case = read_case(self.tube, self.contexts)
         if self.evaluation:
             draw_curves(self.evaluation, self.output)
-        run_signal(
-            self.policy,
-            case,
-            self.fidelity,
-            self.output,
-            context=self.context,
-            flaws=self.flaws,
-            support_spacing=case.plant.tube.support_spacing if case.plant else None,
-            until=self.until,
-            seed=self.seed,
-        )
+        spacing = case.plant.tube.support_spacing if case.plant else None
+        options: dict[str, Any] = {"context": self.context, "flaws": self.flaws, "support_spacing": spacing}
+        options |= {"until": self.until, "seed": self.seed}
+        run_signal(self.policy, case, self.fidelity, self.output, **options)

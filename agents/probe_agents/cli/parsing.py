@@ -36,14 +36,7 @@ File = Annotated[Path | None, hide_default()]
 
 
 def parse(name: str, kind: type[Any], arguments: Sequence[str], default: Any = None) -> Any:
-    """The command with the options of its arguments.
-
-    Args:
-        name: name of the command.
-        kind: dataclass of the command.
-        arguments: command line after the name.
-        default: command with other defaults of the options.
-    """
+    """The command, a dataclass, with the options of its arguments; ``default`` has other defaults of the options."""
     settings: dict[str, Any] = {} if default is None else {"default": default}
     settings |= {"prog": f"probe-env {name}", "description": inspect.getdoc(kind), "config": (tyro.conf.DisallowNone,)}
     printed = io.StringIO()
@@ -87,20 +80,15 @@ def positional(arguments: Sequence[str]) -> str | None:
     return None
 
 
-def parse_fidelity(text: str, field: str = "fidelity") -> str | Fidelity:
-    """Settings in braces as a ``Fidelity``; any other text is a name.
-
-    Args:
-        text: value of the option.
-        field: name of the option, for the error.
-    """
+def parse_fidelity(text: str) -> str | Fidelity:
+    """Value of the option ``--fidelity``: settings in braces as a ``Fidelity``; any other text is a name."""
     if not text.lstrip().startswith("{"):
         return text
     try:
         return Fidelity.model_validate(ast.literal_eval(text.strip()))
     except ValidationError as error:
-        raise ValueError(explain(error, field)) from error
+        raise ValueError(explain(error, "fidelity")) from error
     except (ValueError, SyntaxError, RecursionError, MemoryError) as error:
         raise ValueError(
-            f"{field} = {text[:80]!r} is neither a name nor settings such as {{'method': 'imex'}}"
+            f"fidelity = {text[:80]!r} is neither a name nor settings such as {{'method': 'imex'}}"
         ) from error

@@ -133,14 +133,7 @@ class Calibrate:
         for needed in ("emcee", "corner"):  # fails before the sampling of half a minute
             import_module(needed)
 
-        from probe_agents.plant.calibration import (
-            calibrate,
-            draw_bands,
-            draw_corner,
-            print_calibration,
-            read_cases,
-            tube_file,
-        )
+        from probe_agents.plant import calibration
         from probe_agents.plant.response import stored_response
         from probe_agents.policies.cases import plant_at
         from probe_agents.records.atomic import write_text
@@ -148,18 +141,16 @@ class Calibrate:
         from probe_env import Plant
 
         plant, target = plant_at(self.tube) or Plant(), self.output / "calibration.json"
-        tube_text = tube_file(self.write_tube, target, self.tube) if self.write_tube else ""
+        tube_text = calibration.tube_file(self.write_tube, target, self.tube) if self.write_tube else ""
         arguments = self.columns, self.missing, self.time_format
-        cases = read_cases(self.logs, plant, self.helix_diameters, self.tubes, *arguments)
-        calibration = calibrate(cases, plant, stored_response(), str(self.tube or "tube"))
-        write_json(target, calibration.to_json() | {"provenance": origin()})
-        pictures = [
-            draw_corner(calibration, self.output / "corner.png"),
-            draw_bands(calibration, self.output / "bands.png"),
-        ]
-        print_calibration(calibration, with_file=self.tube is not None)
+        cases = calibration.read_cases(self.logs, plant, self.helix_diameters, self.tubes, *arguments)
+        result = calibration.calibrate(cases, plant, stored_response(), str(self.tube or "tube"))
+        write_json(target, result.to_json() | {"provenance": origin()})
+        corner = calibration.draw_corner(result, self.output / "corner.png")
+        pictures = [corner, calibration.draw_bands(result, self.output / "bands.png")]
+        calibration.print_calibration(result, with_file=self.tube is not None)
         print_line(f"written: {', '.join(map(str, (target, *pictures)))}")
-        if calibration.misfits:
+        if result.misfits:
             print("do not use this posterior: recommend refuses a tube.toml that names it")
         elif self.write_tube:
             write_text(self.write_tube, tube_text)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -113,7 +112,6 @@ class Compare:
         from probe_agents.policies.cases import read_case
         from probe_agents.records.shipped import file_or_shipped
         from probe_agents.terminal.names import checked_name, name_of
-        from probe_env.fidelity import resolve_fidelity
 
         paths = [file_or_shipped("design", design) for design in self.designs]
         stems = [name_of(path) for path in paths]
@@ -125,9 +123,7 @@ class Compare:
         designs = {name: _design(path, case.config.scene.probe) for name, path in zip(names, paths, strict=True)}
         if len(designs) != len(paths):
             raise ValueError(f"designs = {', '.join(map(str, self.designs))}: two have the same name")
-        config = case.config.full_observation
-        fidelity = resolve_fidelity(self.fidelity, config.scene, self.full)
-        trials = DesignTrials(case.contexts, self.feed, self.full, fidelity, config, case.vibration, case.plant_label)
+        trials = DesignTrials.of_case(case, self.feed, self.full, self.fidelity)
         print_comparison(compare(designs, trials, self.output))
         print_line(f"written: {self.output}/ (designs.csv, summary.csv)")
 
@@ -176,14 +172,12 @@ class DesignSearch:
 
     def run(self) -> None:
         """Search, store, print."""
-        from probe_agents.design.problem import design_problem
         from probe_agents.design.search import run_design_search
+        from probe_agents.design.trials import DesignProblem
         from probe_agents.policies.cases import read_case
 
         case = read_case(self.tube, self.contexts, self.limit)
-        problem = design_problem(self.feed, self.full, case, self.fidelity)
-        for cut in problem.cuts:
-            print(f"probe-env: note: {cut}", file=sys.stderr)
+        problem = DesignProblem.of_case(case, self.feed, self.full, self.fidelity)
         run_design_search(problem, self.trials, self.output, self.seed, self.workers)
 
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Final, Self
+from typing import Final, Self
 
 import pandas as pd
-from pydantic import FiniteFloat, ValidationError, model_validator
+from pydantic import FiniteFloat, model_validator
 from tqdm import tqdm
 
-from probe_agents.design.trials import DesignTrials, tube_column
+from probe_agents.design.trials import DesignTrials
 from probe_agents.evaluation.kpis import CORE, CORE_FAILURES, OF_DESIGNS, kpis_of
 from probe_agents.evaluation.statistics import Interval, failure_text, failures, mean_interval, short
 from probe_agents.policies.cases import TABLE_2
@@ -24,7 +24,7 @@ from probe_agents.records.tables import Columns, read_csv
 from probe_agents.terminal.tables import print_table
 from probe_agents.terminal.work import Work, announce
 from probe_env import Design
-from probe_env.envs.trials import check_candidate, check_measure, segment_of
+from probe_env.envs.trials import check_candidate
 from probe_env.settings import explain
 
 STORED: Final = "designs.csv"
@@ -48,28 +48,23 @@ class Trial(Stored):
 
 
 def compare(designs: Mapping[str, Design], trials: DesignTrials, output: Path) -> pd.DataFrame:
-    """Run missing trials, store designs.csv and summary.csv; returns one row per design and context.
+    """Run missing trials, store designs.csv and summary.csv in a folder; returns one row per design and context.
 
-    Args:
-        designs: name -> design.
-        trials: settings of the trials.
-        output: folder.
+    Nothing is run if the feed, the task or one of the designs, by name, is not valid.
     """
     if not designs:
         raise ValueError("designs = none: give at least one design file (TOML) or the name of a shipped design")
-    check_measure(trials.config)
-    segment_of(trials.config)
-    feed = None if trials.full else trials.schedule()
+    trials.check()
     if trials.plant_label != TABLE_2:  # table 2 accepts the whole design space
         name = name_and_spec(trials.feed)[0]
         check_domains(domains_of([trials.feed], {name: trials.policy()}), trials.config, trials.contexts, strict=False)
         for name, design in designs.items():
             for context in trials.contexts:
                 try:
-                    check_candidate(design, context, trials.config, trials.fidelity, feed)
+                    check_candidate(design, context, trials.config, trials.fidelity, trials.schedule())
                 except ValueError as error:
-                    reason = explain(error) if isinstance(error, ValidationError) else error
-                    raise ValueError(f"design {name!r} in {trials.plant_label.name}: {reason}") from error
+                    where = f"design {name!r} in {trials.plant_label.name}"
+                    raise ValueError(f"{where}: {explain(error)}") from error
     journal = Journal(output / "designs.jsonl", Trial)
     with trials.folder(output).open(journal.path.name) as folder:
         return _compared(designs, trials, folder, journal)
@@ -95,17 +90,15 @@ def _compared(
                 append(*({"key": keys[trial], "commit": commit(), "kpis": kpis} for trial, kpis in rows))
                 bar.update(len(part))
         done = journal.read()
-    column = tube_column(trials.plant_label)
     table = pd.DataFrame(
-        {"design": name, "context": k} | column | trials.contexts[k].model_dump() | done[keys[name, k]]["kpis"]
-        | {"commit": done[keys[name, k]].get("commit", "unknown")}
+        {"design": name, "context": k} | trials.tube_column | trials.contexts[k].model_dump()
+        | done[keys[name, k]]["kpis"] | {"commit": done[keys[name, k]].get("commit", "unknown")}
         for name, k in named_trials
     )  # fmt: skip
     write_atomically(output / STORED, table.to_csv(index=False, float_format="%.6g"))
     write_atomically(output / "summary.csv", summarise(table).to_csv(index=False, float_format="%.6g"))
     built = {name: design.built.model_dump() for name, design in designs.items()}
-    settings: dict[str, Any] = trials.setting | column
-    folder.write_manifest(STORED, "summary.csv", commits=table["commit"], designs=built, **settings)
+    folder.write_manifest(STORED, "summary.csv", commits=table["commit"], designs=built, **trials.setting)
     return table
 
 
@@ -144,7 +137,7 @@ def header(summary: pd.DataFrame) -> list[str]:
 
 
 def read_comparison(folder: Path) -> pd.DataFrame:
-    """Read the rows of a comparison, one per design and context."""
+    """Read the rows of a comparison, one per design and context; a damaged or changed file is refused."""
     check_hashes(folder, STORED)
     return read_csv(folder / STORED, COLUMNS)
 

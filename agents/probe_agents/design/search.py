@@ -6,6 +6,7 @@ continues to the same front.
 
 from __future__ import annotations
 
+import sys
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
@@ -22,8 +23,7 @@ from optuna.trial import FrozenTrial, TrialState
 from scipy.stats import rankdata
 from tqdm import tqdm
 
-from probe_agents.design.problem import DIRECTIONS, OBJECTIVES, DesignProblem, Values
-from probe_agents.design.trials import tube_column
+from probe_agents.design.trials import DIRECTIONS, OBJECTIVES, DesignProblem, Values
 from probe_agents.evaluation.statistics import bootstrap_ends
 from probe_agents.evaluation.workers import HERE, Workers
 from probe_agents.records.atomic import write_atomically
@@ -139,15 +139,13 @@ def run_design_search(
 ) -> pd.DataFrame:
     """Run the command ``design``: stores trials.csv, front.csv, sensitivity.csv, figures and the best design as TOML.
 
-    Args:
-        problem: search space and objectives.
-        trials: total number of designs.
-        output: folder of journal, tables and figures; a search in it is continued.
-        seed: seed of the search.
-        workers: workers that share the tubes of a trial.
+    A search in the folder is continued up to the total number of trials. The workers share the tubes of a trial.
     """
+    problem.check()
     within("seed", seed, 0, 2**63, "")
     within("trials", trials, 2, 1_000_000, "")
+    for cut in problem.cuts:
+        print(f"probe-env: note: {cut}", file=sys.stderr)
     value = partial(problem.value, workers=workers)
     with problem.search_folder(output, seed).open(JOURNAL) as folder:
         study = search(problem.axes, value, trials, output, seed=seed, starts=problem.starts())
@@ -157,14 +155,16 @@ def run_design_search(
 def _write_tables(problem: DesignProblem, table: pd.DataFrame, folder: ResultFolder, seed: int) -> pd.DataFrame:
     output = folder.path
     front = table[table["on_front"]].sort_values("mean_square_ratio")
-    influence, column = sensitivity(table, problem.axes), tube_column(problem.plant_label)
+    influence = sensitivity(table, problem.axes)
     for name, frame in (("trials", table), ("front", front), ("sensitivity", influence)):
-        write_atomically(output / f"{name}.csv", frame.assign(**column).to_csv(index=False, float_format="%.6g"))
+        write_atomically(
+            output / f"{name}.csv", frame.assign(**problem.tube_column).to_csv(index=False, float_format="%.6g")
+        )
     write_atomically(output / "found.toml", best_of(front, problem.config).to_toml())
     names = [name for name in problem.probes for _ in problem.reference_feeds()]  # the first trials
     references = table.iloc[: len(names)].assign(design=names[: len(table)])
     _draw_front(table, references, output / "front.png", problem.plant_label.title)
-    setting: dict[str, Any] = {"contexts": len(problem.contexts), "trials": len(table), "seed": seed} | column
+    setting: dict[str, Any] = {"contexts": len(problem.contexts), "trials": len(table), "seed": seed}
     files = ("trials.csv", "front.csv", "sensitivity.csv", "found.toml")
     folder.write_manifest(*files, seeds=(seed,), commits=table[COMMIT], **problem.setting, **setting)
     _print(front, influence, problem)

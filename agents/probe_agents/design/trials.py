@@ -1,26 +1,50 @@
-"""Trials of probe designs, for comparisons and searches."""
+"""Trials of probe designs, and the search space and objectives of a search for designs."""
 
 from __future__ import annotations
 
 import hashlib
 import json
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Final, Literal, Self
 
 import numpy as np
 
-from probe_agents.policies.cases import TABLE_2, PlantLabel
+from probe_agents.evaluation.workers import HERE, Workers
+from probe_agents.policies.cases import TABLE_2, EvaluationCase, PlantLabel
 from probe_agents.policies.catalogue import make_policy
 from probe_agents.policies.fixed import Scheduled
+from probe_agents.policies.on_map import least_air
 from probe_agents.policies.policy import Policy
 from probe_agents.records.result_folder import ResultFolder
 from probe_env import Context, Design, Fidelity
+from probe_env.design import RANGES, ranges_in
 from probe_env.envs.task import TaskConfig
-from probe_env.envs.trials import Candidate, score_designs, try_insertions, try_sections
-from probe_env.envs.vibration_map import VibrationMap
+from probe_env.envs.trials import (
+    Candidate,
+    check_candidate,
+    check_measure,
+    score_designs,
+    segment_of,
+    try_insertions,
+    try_sections,
+)
+from probe_env.envs.vibration_map import VibrationMap, feeds
+from probe_env.fidelity import resolve_fidelity
 from probe_env.schedule import Schedule
+
+OBJECTIVES: Final = ("mean_square_ratio", "inspection_time_s", "drive_margin_n")
+DIRECTIONS: Final[tuple[Literal["minimize", "maximize"], ...]] = ("minimize", "minimize", "maximize")
+Values = tuple[float, float, float]
+IMPROVED: Final = Design(guide_length=10.0, guide_float_diameter=0.020, carrier_float_diameter=0.016)
+
+
+def constant_schedule(feed_speed: float, air_supply_rate: float) -> Schedule:
+    """The same feed speed [m/s] and air supply [m3/s] at every inserted length."""
+    return Schedule("inserted_length", "linear", (5.0,), (feed_speed,), (air_supply_rate,))
 
 
 @dataclass(frozen=True)
@@ -45,15 +69,33 @@ class DesignTrials:
     vibration: VibrationMap | None = None
     plant_label: PlantLabel = TABLE_2
 
+    @classmethod
+    def of_case(cls, case: EvaluationCase, feed: str, full: bool, fidelity: str) -> Self:
+        """Trials in the tubes of a case; ``fidelity`` is a preset, or "auto"."""
+        config = case.config.full_observation
+        chosen = resolve_fidelity(fidelity, config.scene, full)
+        return cls(case.contexts, feed, full, chosen, config, case.vibration, case.plant_label)
+
+    def check(self) -> None:
+        """Raise ValueError if designs cannot be scored in the task, or the feed is not valid."""
+        check_measure(self.config)
+        segment_of(self.config)
+        if self.full:
+            self.policy()
+        else:
+            self.schedule()
+
     def policy(self) -> Policy:
         """Make the policy of ``feed``."""
         return make_policy(self.feed, self.config, self.vibration)
 
-    def schedule(self) -> Schedule:
-        """Make the schedule of ``feed``."""
+    def schedule(self) -> Schedule | None:
+        """Make the schedule of ``feed``, which must be over inserted length; None for whole insertions."""
+        if self.full:
+            return None
         policy = self.policy()
         if self.feed == "constant":
-            return Schedule("inserted_length", "linear", (5.0,), (0.2,), (63.0 / 3600.0,))
+            return constant_schedule(0.2, 63.0 / 3600.0)
         if not isinstance(policy, Scheduled) or policy.schedule.over != "inserted_length":
             raise ValueError(
                 f"feed = {self.feed!r} is not a schedule over inserted length: use --full for policies and agents"
@@ -75,7 +117,12 @@ class DesignTrials:
     @property
     def setting(self) -> dict[str, Any]:
         """Settings for the manifest."""
-        return {"feed": self.feed, "full": self.full, "fidelity": self.fidelity.model_dump()}
+        return {"feed": self.feed, "full": self.full, "fidelity": self.fidelity.model_dump()} | self.tube_column
+
+    @property
+    def tube_column(self) -> dict[str, str]:
+        """Column of a table that names its plant; none for the tubes of table 2."""
+        return {"tube": self.plant_label.title} if self.plant_label.title else {}
 
     def run(
         self,
@@ -86,7 +133,7 @@ class DesignTrials:
     ) -> list[dict[str, float]]:
         """KPIs and reward of (design, tube) pairs, simulated in one batch; ``feed`` replaces the schedule."""
         candidates = [
-            Candidate(design, context, feed or (self.policy() if self.full else self.schedule()), seed)
+            Candidate(design, context, feed or self.schedule() or self.policy(), seed)
             for (design, context), seed in zip(pairs, seeds, strict=True)
         ]
         simulate = try_insertions if self.full else try_sections
@@ -99,6 +146,117 @@ class DesignTrials:
         ]
 
 
-def tube_column(label: PlantLabel) -> dict[str, str]:
-    """Column of a table that names its plant; none for the tubes of table 2."""
-    return {"tube": label.title} if label.title else {}
+@dataclass(frozen=True)
+class DesignProblem(DesignTrials):
+    """Search space and objectives; every design is simulated in all contexts.
+
+    ``feed``: "best-constant" searches feed speed and air together with the probe; else a schedule, or with ``full`` any
+    policy.
+    """
+
+    feed: str = "best-constant"
+
+    def check(self) -> None:
+        """Raise ValueError as for trials, or if no reference probe can be simulated in the tubes."""
+        if self.full and self.feed == "best-constant":
+            raise ValueError("feed = 'best-constant' needs sections; with --full give a schedule or an agent")
+        super().check()
+        if not any(self.can_be_tried(start, context) for start in self.starts() for context in self.contexts):
+            probes = ", ".join(self.probes)
+            raise ValueError(f"tube = {self.plant_label.name}: {probes} can be simulated in none of its tubes")
+
+    @property
+    def axes(self) -> dict[str, tuple[float, float, str]]:
+        """Name -> lowest, highest, unit of each variable, within the bore and the ranges of the task."""
+        probe, config = ranges_in(self.config.scene), self.config
+        if self.feed != "best-constant":
+            return probe
+        air = (least_air(config), config.air_supply_rates[1], "m3/s")
+        return probe | {"feed_speed": (*feeds(config), "m/s"), "air_supply_rate": air}
+
+    @property
+    def cuts(self) -> tuple[str, ...]:
+        """Messages about parts of the design space that do not fit the plant and are not searched."""
+        return tuple(
+            f"{name} is searched from {low:g} to {high:g} {unit}, not from {RANGES[name][0]:g} to {RANGES[name][1]:g}"
+            f" {unit}: the rest does not fit the bore and the cable of {self.plant_label.name}"
+            for name, (low, high, unit) in ranges_in(self.config.scene).items()
+            if (low, high, unit) != RANGES[name]
+        )
+
+    @property
+    def probes(self) -> dict[str, Design]:
+        """Reference probes of a search: the plant's (or the study's original) and the study's improved one."""
+        try:
+            probe = Design().completed(self.config.scene.probe)
+        except ValueError:  # outside the design space
+            probe = Design()
+        first = "the study's original" if probe == Design() else "the plant's own"
+        designs = {first: probe, "the study's improved": IMPROVED}
+        return {name: design.cut_to(self.config.scene) for name, design in designs.items()}
+
+    def starts(self) -> list[dict[str, float]]:
+        """First points: the reference probes, at several feeds if the feed is searched."""
+        return [probe.model_dump() | feed for probe in self.probes.values() for feed in self.reference_feeds()]
+
+    def reference_feeds(self) -> list[dict[str, float]]:
+        """Feeds of the reference probes, clipped to the ranges of the task."""
+        if self.feed != "best-constant":
+            return [{}]
+        (slow, fast, _), (least, most, _) = (self.axes[name] for name in ("feed_speed", "air_supply_rate"))
+        pairs = ((u, q / 3600.0) for u in (0.08, 0.12, 0.2, 0.3) for q in (63.0, 110.0))
+        clipped = dict.fromkeys((min(max(u, slow), fast), min(max(q, least), most)) for u, q in pairs)
+        return [{"feed_speed": u, "air_supply_rate": q} for u, q in clipped]
+
+    def search_folder(self, path: Path, seed: int) -> ResultFolder:
+        """The folder of a search for this problem."""
+        feed = self.feed if self.feed == "best-constant" else self.policy().describe()
+        tubes = [context.model_dump() for context in self.contexts]
+        return self.folder(path, feed=feed, seed=seed, variables=self.axes, tubes=tubes)
+
+    def value(self, point: dict[str, float], workers: Workers = HERE) -> Values:
+        """The objectives: means over the tubes, and the smallest drive margin.
+
+        Length that a probe does not inspect, after lost drive, divergence, or if it cannot be simulated in a tube (see
+        ``probe_env.envs.episodes.limits``), has the cap of the ratio and the slowest feed.
+        """
+        tubes = list(enumerate(self.contexts))
+        if workers.here:
+            kpis = self.kpis(point, tubes)
+        else:
+            portions = [tubes[k :: workers.jobs] for k in range(min(workers.jobs, len(tubes)))]
+            kpis = [row for _, rows in workers.map(partial(self.kpis, point, threads=1), portions) for row in rows]
+        kpis.sort(key=lambda row: row["tube"])  # so that sums do not depend on the order of the workers
+        slowest, cap = 1.0 / self.config.feed_speeds[0], self.config.ratio_cap**2
+        span = segment_of(self.config).span
+        squares = [(k["mean_square_ratio"] * (span - k["missed_m"]) + cap * k["missed_m"]) / span for k in kpis]
+        times = [k["inspection_time_s"] + slowest * k["missed_m"] for k in kpis]
+        return float(np.mean(squares)), float(np.mean(times)), min(k["drive_margin_n"] for k in kpis)
+
+    def kpis(
+        self, point: dict[str, float], tubes: Sequence[tuple[int, Context]], threads: int | None = None
+    ) -> list[dict[str, float]]:
+        """KPIs of a point in some tubes, (index, tube) each."""
+        design, feed = self._probe(point)
+        fit = {k: (design, context) for k, context in tubes if self.can_be_tried(point, context)}
+        rows = dict(zip(fit, self.run([*fit.values()], [*fit], threads, feed) if fit else [], strict=True))
+        nothing = {"mean_square_ratio": 0.0, "inspection_time_s": 0.0, "missed_m": segment_of(self.config).span}
+        nothing["drive_margin_n"] = -self.config.required_tension
+        return [rows.get(k, nothing) | {"tube": float(k)} for k, _ in tubes]
+
+    def _probe(self, point: dict[str, float]) -> tuple[Design, Schedule | None]:
+        """The probe of a point, and its feed if the feed is searched."""
+        searched = self.feed == "best-constant"
+        feed = constant_schedule(point["feed_speed"], point["air_supply_rate"]) if searched else None
+        return Design(**{name: point[name] for name in RANGES}), feed
+
+    def can_be_tried(self, point: dict[str, float], context: Context) -> bool:
+        """Whether a probe can be simulated in a tube; always true in table 2."""
+        if self.plant_label == TABLE_2:
+            return True
+        design, feed = self._probe(point)
+        schedule = feed or self.schedule()
+        with suppress(ValueError):
+            check_candidate(design, context, self.config, self.fidelity, schedule)
+            return True
+        return False

@@ -16,7 +16,6 @@ from typing import Any, Final, NamedTuple, Self
 import numpy as np
 import pandas as pd
 from pydantic import FiniteFloat, NonNegativeInt, model_validator
-from pydantic_core import PydanticCustomError
 
 from probe_agents.evaluation.kpis import (
     CORE,
@@ -75,7 +74,7 @@ class Episode(Stored):
         require("profile", self.profile, PROFILE_COLUMNS)
         require("probe", self.probe or RANGES, RANGES)
         if len({len(values) for values in self.profile.values()}) > 1:
-            raise PydanticCustomError("profile", "profile: the columns differ in length")
+            raise ValueError("profile: the columns differ in length")
         return self
 
 
@@ -106,7 +105,7 @@ class Unfinished(Manifest):
             if not problem and (context >= len(self.contexts) or policy not in self.policies):
                 problem = f"in tube {context}: no such policy or tube"
             if problem:
-                raise PydanticCustomError("episodes", "{text}", {"text": f"episodes: {policy!r} {problem}"})
+                raise ValueError(f"episodes: {policy!r} {problem}")
         return self
 
 

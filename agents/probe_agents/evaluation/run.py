@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Literal
 
 import pandas as pd
-from pydantic import ValidationError
 
 from probe_agents.evaluation.folder import EPISODE_RECORDS, ReportSettings, is_evaluation, read_evaluation
 from probe_agents.evaluation.kpis import SCORED_PASSES, displayed_kpis
@@ -119,9 +118,7 @@ def plan_of(
     try:
         check_tubes(sampler, case.contexts, chosen, case.vibration)
     except ValueError as error:
-        raise ValueError(
-            f"{case.plant_label.name}: {explain(error) if isinstance(error, ValidationError) else error}"
-        ) from error
+        raise ValueError(f"{case.plant_label.name}: {explain(error)}") from error
     return plan
 
 

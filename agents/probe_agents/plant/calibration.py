@@ -37,8 +37,6 @@ from probe_env.settings import within
 
 LEVEL: Final = 0.90
 """Probability of the intervals."""
-AT_EDGE: Final = 0.06, 0.5
-"""A posterior is at its bound if more than the second share of it is within the first share of the range."""
 LABELS: Final = (
     ("root tension [N]", 1.0),
     ("radial acceleration rms [m/s²]", 1.0),
@@ -95,15 +93,15 @@ class Calibration:
 
     @property
     def at_bounds(self) -> list[str]:
-        """Unknowns whose posterior is at a bound of the prior, as texts."""
-        texts, (width, share) = [], AT_EDGE
+        """Unknowns with more than half of their posterior in 6 % of the range next to a bound, as texts."""
+        texts = []
         for column, name in enumerate(UNKNOWNS):
             if name in self.prior.fixed:
                 continue
             low, high = self.prior.ranges[name]
             at = (self.posterior.draws[:, :, column] - low) / (high - low)
-            for side, near in (("lower", at < width), ("upper", at > 1.0 - width)):
-                if near.mean() > share:
+            for side, near in (("lower", at < 0.06), ("upper", at > 0.94)):
+                if near.mean() > 0.5:
                     texts.append(f"{UNKNOWNS[name].text} is at its {side} bound")
         return texts
 
@@ -165,11 +163,6 @@ def read_cases(
         columns: HEAD=QUANTITY[UNIT], as of ``probe-env log``.
         missing: markers of missing values.
         time_format: form of the times, such as %H:%M.
-
-    Raises:
-        FileNotFoundError: no such file.
-        ValueError: a log cannot be read; the number of diameters or names differs from that of the logs; a diameter is
-            not one of the plant's.
     """
     if not paths:
         raise ValueError("logs: at least one is needed")
@@ -243,9 +236,6 @@ def tube_file(target: Path, posterior: Path, tube: Path | None) -> str:
         target: the file to write.
         posterior: ``calibration.json``.
         tube: file or name of the plant; None: the study's, with instrument, task and bundle of the example.
-
-    Raises:
-        FileError: the file exists and has other tables, or is no TOML file.
     """
     if target.suffix != ".toml":
         raise FileError(target, "a tube file must end with .toml")

@@ -89,11 +89,7 @@ class CleanLog:
 
 
 def clean(channels: Channels, bounds: Bounds) -> CleanLog:
-    """Repair a log within the bounds.
-
-    Raises:
-        FileError: a repair is outside the bounds; names lines, column and value.
-    """
+    """Repair a log; a repair outside the bounds is a FileError with lines, column and value."""
     table = channels.table
     timed = np.flatnonzero(~np.isnan(channels.time))
     time, values, rows = _merged(channels, timed, bounds)

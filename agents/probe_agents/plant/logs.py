@@ -11,13 +11,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from probe_agents.evaluation.repeat import (
-    Segments,
-    intervals_to_repeat,
-    repeat_schedule,
-    verdict_of,
-    verdict_text,
-)
+from probe_agents.evaluation.repeat import Segments, intervals_to_repeat, repeat_schedule, verdict_of, verdict_text
 from probe_agents.plant.cleaning import (
     DIGITS,
     DWELL,

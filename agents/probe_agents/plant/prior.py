@@ -78,10 +78,7 @@ def prior_of(plant: Plant, file: str = "tube") -> Prior:
     """The prior of a plant: ranges and normal distributions as in its file; a number is a fixed value.
 
     The friction is never fixed. Defaults of friction (also if it is a number), stiffness and damping are the training
-    ranges of the response; that of the drag is ``DRAG``.
-
-    Raises:
-        FileError: a value outside the range in which the response was trained; names field, value and range.
+    ranges of the response, beyond which a value is refused; that of the drag is ``DRAG``.
     """
     prior = Prior({}, {}, {}, [])
     for name, unknown in UNKNOWNS.items():

@@ -42,8 +42,6 @@ MEASURES: Final = {"displacement": "rf_noise_rms", "acceleration": "radial_accel
 """Vibration measure of a task -> channel of the response."""
 FEEDS, AIRS = 28, 12
 """Points of the grid of settings."""
-SAFE_LENGTHS: Final = 23
-"""Number of inserted lengths at which ``safe_air`` computes the root tension."""
 STEP: Final = 0.02
 FRICTIONS: Final = tuple(round(0.06 + STEP * k, 2) for k in range(15))
 """Frictions of the rows of a law, up to 0.34."""
@@ -85,7 +83,7 @@ class Confirmation:
     fidelity: str = "fast"
 
     def check(self, plant: Plant | None) -> None:
-        """Raise ValueError if the schedules or the other settings are not valid; their warnings follow in ``run``."""
+        """Raise ValueError if a setting is not valid; warnings follow in ``run``."""
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             plan_of((*self.schedules, *BASELINES), load_case(plant, "test", self.limit), 1, self.fidelity)
@@ -181,8 +179,7 @@ def is_misspecified(plant: Plant | None) -> bool:
 def route_air(plant: Plant | None, tubes: Sequence[Context]) -> float:
     """Least air before the helix and at its start [m3/s], with ``MARGIN`` of drag if the plant has it; 0: no route.
 
-    Raises:
-        ValueError: the probe does not get through the route in ``CONFIDENCE`` of the tubes.
+    Raises ValueError if the probe does not get through the route in ``CONFIDENCE`` of the tubes.
     """
     if plant is None:
         return 0.0
@@ -392,7 +389,7 @@ def safe_air(config: TaskConfig, tubes: Sequence[Context], feeds: tuple[float, f
 
 def least_root_tension(config: TaskConfig, tubes: Sequence[Context], airs: FloatArray, feed: float) -> FloatArray:
     """(a,) smallest root tension of an insertion [N] over tubes and lengths at which lost drive is scored, by air."""
-    lengths = np.linspace(FIRST, config.scene.tube.helix_length, SAFE_LENGTHS)
+    lengths = np.linspace(FIRST, config.scene.tube.helix_length, 23)
     lengths = lengths[drive_counts(config, lengths)]
     air, length = np.repeat(airs / 3600.0, len(lengths)), np.tile(lengths, len(airs))
     tension = tensions(tubes, config, Metres(length, np.full(len(length), feed), air, {}))

@@ -35,8 +35,7 @@ FLOORS: Final = np.array([1e-2, 0.1, 0.4, 2e-6])
 
 Found on 48 simulated logs at ``standard``. A response trained at ``fast``, with twice the vibration
 from feeding, needs five times the values for the accelerations."""
-INPUTS: Final = 10
-LAYERS: Final = 3
+INPUTS, HIDDEN, LAYERS = 10, 64, 3
 MAX_DEVIATION: Final = 10.0
 """Deviations are clipped here in misfits [standard deviations]."""
 FRICTION, STIFFNESS, DRAG, DAMPING = range(4)
@@ -51,6 +50,12 @@ SHAPES: Final = {
 """Array of the file -> shape."""
 ATTRIBUTES: Final = {"alike": "shared_covariance"}
 """Array of the file -> attribute, where they differ."""
+SIZES: Final = (INPUTS, *[HIDDEN] * (LAYERS - 1), 2 * len(CHANNELS))
+STORED_SHAPES: Final[dict[str, tuple[int, ...]]] = (
+    {f"weights{k}": SIZES[k : k + 2] for k in range(LAYERS)}
+    | {f"biases{k}": SIZES[k + 1 : k + 2] for k in range(LAYERS)}
+    | SHAPES
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,22 +184,16 @@ class Response:
 
     @classmethod
     def load(cls, path: Path = STORED) -> Response:
-        """Read a stored response (plain arrays)."""
-        arrays = read_arrays(path, lambda name: "f" if name in SHAPES or name[:-1] in ("weights", "biases") else "")
-        sizes = [INPUTS]
-        for k in range(LAYERS):
-            weights, biases = (arrays.get(f"{part}{k}", np.zeros(())) for part in ("weights", "biases"))
-            sizes.append(weights.shape[-1] if weights.ndim == 2 and k < LAYERS - 1 else 2 * len(CHANNELS))
-            if weights.shape != (sizes[-2], sizes[-1]) or biases.shape != (sizes[-1],):
-                raise FileError(path, f"layer {k}: missing, or wrong shape")
-        for name, shape in SHAPES.items():
+        """Read a stored response; missing arrays and wrong shapes are refused."""
+        arrays = read_arrays(path, lambda name: "f" if name in STORED_SHAPES else "")
+        for name, shape in STORED_SHAPES.items():
             if name not in arrays or arrays[name].shape != shape:
                 raise FileError(path, f"{name}: missing, or shape is not {shape}")
         layers = tuple((arrays[f"weights{k}"], arrays[f"biases{k}"]) for k in range(LAYERS))
         return cls(layers, **{ATTRIBUTES.get(name, name): arrays[name].astype(float) for name in SHAPES})
 
     def save(self, path: Path) -> None:
-        """Write it atomically."""
+        """Write it as plain arrays, atomically."""
         arrays = {name: getattr(self, ATTRIBUTES.get(name, name)) for name in SHAPES}
         for k, (weights, biases) in enumerate(self.layers):
             arrays |= {f"weights{k}": weights, f"biases{k}": biases}

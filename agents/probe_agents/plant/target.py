@@ -49,9 +49,6 @@ LEAST, MOST = 2.0, 99.0
 """Accepted targets of a90 [% of the wall]; beyond 99 no flaw needs to be found."""
 CHANGE_WEIGHT: Final = 5.0
 """Cost of a change of the feed by a factor of e, or of the air over its range, between two points [s]."""
-WEIGHTS: Final = (1e-2, 1e5)
-"""Range of the weight of the missed share [s/m], and number of its bisections."""
-BISECTIONS: Final = 12
 MOST_SIMULATED: Final = 6
 """Number of simulated schedules."""
 CLOSE: Final = 0.98
@@ -150,9 +147,9 @@ class MapSearch:
     def fastest(self, target: float) -> Candidate | None:
         """The fastest schedule with an upper limit of a90 on the map within a target [% of the wall]; None: none."""
         missed = np.quantile(1.0 - self.pod(target / 100.0), CONFIDENCE, axis=0)
-        low, high = np.log(WEIGHTS)
+        low, high = np.log((1e-2, 1e5))  # range of the weight of the missed share [s/m]
         best = None
-        for _ in range(BISECTIONS):
+        for _ in range(12):
             middle = 0.5 * (low + high)
             cost = 1.0 / self.settings.feed + math.exp(middle) * missed
             candidate = self._candidate(self.settings.cheapest(cost, CHANGE_WEIGHT))
@@ -188,13 +185,7 @@ class MapSearch:
 
 
 def find_schedule(search: MapSearch, target: float, simulated_limit: Callable[[Candidate], float]) -> TargetResult:
-    """The fastest schedule of a search whose simulated limit of a90 is within a target.
-
-    Args:
-        search: the schedules.
-        target: [% of the wall].
-        simulated_limit: upper limit of a90 of a schedule in simulations [% of the wall].
-    """
+    """The fastest schedule of a search whose simulated upper limit of a90 is within a target [% of the wall]."""
     least, loosest = search.least(), search.fastest(100.0)
     assert loosest
     goal, level = 0.5 * (1.0 + CLOSE) * target, target
@@ -234,13 +225,10 @@ def recommend_for_target(
     Args:
         target: a90 that 95 % of the tubes keep [% of the wall].
         tube: file or name of the plant; None: table 2 with the shipped lists of tubes.
-        output: schedule file (.csv); NAME.json and NAME-a90.csv, the time against a90, are written next to it.
+        output: schedule file (.csv); NAME.json and NAME-a90.csv, the time against a90, are written next to it, the
+            latter also if no schedule is within the target, which is an error.
         confirmation: settings of the simulations.
         workers: workers of the simulations.
-
-    Raises:
-        ValueError: the plant, or a schedule to compare with, is not valid; nothing is written. Or no schedule is
-            within the target: NAME-a90.csv is written.
     """
     case = read_case(tube, "train")
     config, plant = case.config, case.plant

@@ -16,7 +16,6 @@ import numpy.typing as npt
 import safetensors.numpy
 import torch
 from pydantic import Field, FiniteFloat, ValidationError, model_validator
-from pydantic_core import PydanticCustomError
 from sb3_contrib import TQC, RecurrentPPO
 from stable_baselines3 import PPO, SAC, TD3
 from stable_baselines3.common.base_class import BaseAlgorithm
@@ -76,7 +75,7 @@ class Network(Model):
     def _fits_in_memory(self) -> Self:
         weights = sum(a * b for a, b in pairwise(self.net_arch))
         if weights > MOST_WEIGHTS:
-            raise PydanticCustomError("weights", f"net_arch: {weights} weights are more than {MOST_WEIGHTS}")
+            raise ValueError(f"net_arch: {weights} weights are more than {MOST_WEIGHTS}")
         return self
 
 
@@ -137,7 +136,7 @@ class Description(Model):
     @model_validator(mode="after")
     def _one_statistic_per_feature(self) -> Self:
         if self.normalisation and not len(self.normalisation.mean) == len(self.normalisation.var) == self.view.size:
-            raise PydanticCustomError("size", f"normalisation: mean and var must have {self.view.size} values each")
+            raise ValueError(f"normalisation: mean and var must have {self.view.size} values each")
         return self
 
 

@@ -12,7 +12,6 @@ from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
 from pydantic import Field, FiniteFloat, model_validator
-from pydantic_core import PydanticCustomError
 
 from probe_agents.policies.fixed import FixedPolicy, gain
 from probe_agents.policies.policy import Domain, RangesOfTubes, read_model
@@ -53,19 +52,19 @@ class Law(Model):
     def _fits_together(self) -> Self:
         for name in ("friction", "inserted_length"):
             if not all(np.diff(getattr(self, name)) > 0.0):
-                raise PydanticCustomError("order", f"{name} must ascend")
+                raise ValueError(f"{name} must ascend")
         shape = len(self.friction), len(self.inserted_length)
         for k, table in enumerate(self.tables):
             for name, column in (("feed_speed", FEED), ("air_supply_rate", AIR)):
                 rows = getattr(table, name)
                 if len(rows) != shape[0] or any(len(row) != shape[1] for row in rows):
                     text = f"tables.{k}.{name}: must have {shape[0]} rows (frictions) of {shape[1]} values (lengths)"
-                    raise PydanticCustomError("shape", "{text}", {"text": text})
+                    raise ValueError(text)
                 low, high = RANGES[column][:2]
                 high = high / 3600.0 if column == AIR else high
                 if not all(low <= value <= high for row in rows for value in row):
                     text = f"tables.{k}.{name}: a value is outside the accepted range {low:g} to {high:g}"
-                    raise PydanticCustomError("range", "{text}", {"text": text})
+                    raise ValueError(text)
         return self
 
     @classmethod

@@ -14,7 +14,6 @@ from typing import Annotated, Any, Protocol, TypeVar
 import numpy as np
 import numpy.typing as npt
 from pydantic import AfterValidator, FiniteFloat, ValidationError
-from pydantic_core import PydanticCustomError
 
 from probe_env import Context
 from probe_env.arrays import BoolArray
@@ -79,7 +78,7 @@ def _checked(ranges: dict[str, tuple[float, float]]) -> dict[str, tuple[float, f
             text = f"{name}: low = {low:g} is above high = {high:g}"
         else:
             continue
-        raise PydanticCustomError("range", "{text}", {"text": text})
+        raise ValueError(text)
     return ranges
 
 

@@ -9,7 +9,6 @@ import gymnasium as gym
 import numpy as np
 import numpy.typing as npt
 from pydantic import BeforeValidator, Field, model_validator
-from pydantic_core import PydanticCustomError
 
 from probe_env.envs.task import TaskConfig, action_of, share_between, share_of, value_at
 from probe_env.envs.task.observations import in_si_units
@@ -54,7 +53,7 @@ class View(Model):
     def _estimable(self) -> Self:
         missing = [name for name in MEASURED if name not in self.observations]
         if self.friction_estimate and missing:
-            raise PydanticCustomError("missing", f"friction_estimate needs the observations {', '.join(missing)}")
+            raise ValueError(f"friction_estimate needs the observations {', '.join(missing)}")
         return self
 
     @property

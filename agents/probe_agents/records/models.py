@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Annotated, Any, Final, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
-from pydantic_core import PydanticCustomError
 
 from probe_env.files import MEBI, FileError, read_text
 from probe_env.settings import explain
@@ -43,9 +42,9 @@ class Record(Stored):
 
 
 def require(field: str, values: Mapping[str, Any], names: Iterable[str]) -> None:
-    """Raise PydanticCustomError if the mapping of a field lacks one of the names."""
+    """Raise ValueError if the mapping of a field lacks one of the names."""
     if missing := [name for name in names if name not in values]:
-        raise PydanticCustomError("missing", "{text}", {"text": f"{field}: {', '.join(missing)} missing"})
+        raise ValueError(f"{field}: {', '.join(missing)} missing")
 
 
 def read_json(path: Path, model: type[S]) -> S:

@@ -54,7 +54,17 @@ from probe_agents.records.times import (
 from probe_agents.records.workbook import MOST_COLUMNS, OLD_EXCEL, ZIP, sheet_lines
 from probe_env.arrays import FloatArray
 from probe_env.files import MEBI, FileError, open_regular, read_bytes
-from probe_env.schedule import AIR, CSV_COMMENT, FEED, POSITIONS, Schedule, schedule_of_rows, withdrawal_of_rows
+from probe_env.schedule import (
+    AIR,
+    CSV_COMMENT,
+    FEED,
+    POSITIONS,
+    Row,
+    Schedule,
+    schedule_of_rows,
+    schedule_rows,
+    withdrawal_of_rows,
+)
 
 IntArray = npt.NDArray[np.integer]
 MOST_BYTES: Final = 256 * MEBI
@@ -187,20 +197,18 @@ def read_schedule(path: str | Path) -> Schedule:
     Raises:
         ModuleNotFoundError: openpyxl or pint is not installed.
     """
-    rows = _schedule_rows(Path(path))
-    return schedule_of_rows(Path(path), *rows) if rows else Schedule.read(path)
+    return schedule_of_rows(Path(path), *_schedule_rows(Path(path)))
 
 
 def read_withdrawal(path: str | Path) -> Schedule | None:
     """Read the withdrawal of a schedule; None if the file has none. Raises as ``read_schedule``."""
-    rows = _schedule_rows(Path(path))
-    return withdrawal_of_rows(Path(path), *rows) if rows else Schedule.read_withdrawal(path)
+    return withdrawal_of_rows(Path(path), *_schedule_rows(Path(path)))
 
 
-def _schedule_rows(path: Path) -> tuple[str, list[tuple[str, dict[str, float]]]] | None:
-    """Interpolation and rows of a schedule with other heads, separators or units than ``Schedule.read`` needs."""
+def _schedule_rows(path: Path) -> tuple[str, Sequence[Row]]:
+    """Interpolation and rows of a schedule; heads, separators and units may differ from those of ``Schedule.read``."""
     if path.suffix == ".toml" or _has_schedule_columns(path):
-        return None
+        return schedule_rows(path)
     try:
         table = _read_table(path, None, ())
         indices, _ = _indices(table, ())

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import pandas as pd
-from pydantic import ValidationError
 
 from probe_agents.evaluation.plan import BATCH, Plan, run_plan
 from probe_agents.evaluation.statistics import grouped
@@ -98,9 +97,8 @@ def _setting(study: Study, fidelity: str, changes: Changes) -> Setting:
         sampler = EpisodeSampler(config, case.contexts, "scene", *settling_inputs(config, {}))
         check_tubes(sampler, case.contexts, accuracy, case.vibration)
     except (ValueError, TypeError) as error:
-        problem = explain(error) if isinstance(error, ValidationError) else str(error)
         where = ", ".join(f"{name} = {value!r}" for name, value in (study.set | changes).items())
-        raise ValueError(f"{where}: {problem}" if where else problem) from error
+        raise ValueError(f"{where}: {explain(error)}" if where else explain(error)) from error
     plan = Plan(policies, case.contexts, study.seeds, config, accuracy, vibration=case.vibration)
     values = {"fidelity": fidelity} | {name: _value(name, changes, config, plan.fidelity) for name in study.varied}
     return Setting(values, plan, members, _folder(values))

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
 from pydantic import BeforeValidator, Field, field_validator, model_validator
-from pydantic_core import PydanticCustomError
 
 from probe_agents.evaluation.folder import EPISODES
 from probe_agents.evaluation.kpis import OVER_TUBES
@@ -50,7 +49,7 @@ class Compare(Model):
         if unknown or not metrics:
             accepted = ", ".join(sorted(name for name in known if not name.startswith("pod_")))
             text = f"unknown metrics: {', '.join(unknown) or 'none'}; accepted: {accepted}"
-            raise PydanticCustomError("metrics", "{text}", {"text": text})
+            raise ValueError(text)
         return metrics
 
 
@@ -90,7 +89,7 @@ class Study(Model):
     def _families_have_names(cls, policies: tuple[str | Changes, ...]) -> tuple[str | Changes, ...]:
         for entry in policies:
             if not isinstance(entry, str) and not isinstance(entry.get("name"), str):
-                raise PydanticCustomError("policies", "a table of a policy needs a name")
+                raise ValueError("a table of a policy needs a name")
         return policies
 
     @field_validator("set", "vary")
@@ -100,19 +99,19 @@ class Study(Model):
             root, _, rest = name.partition(".")
             if name not in WHOLE and not (root in ROOTS and rest):
                 accepted = ", ".join((*WHOLE, *(f"{root}.FIELD" for root in ROOTS)))
-                raise PydanticCustomError("field", "{text}", {"text": f"{name!r} is not one of {accepted}"})
+                raise ValueError(f"{name!r} is not one of {accepted}")
         return fields
 
     @model_validator(mode="after")
     def _is_in_range(self) -> Study:
         if self.limit > SPLIT_SIZES[self.contexts]:
-            raise PydanticCustomError(
-                "limit", f"limit = {self.limit} is outside the accepted range 0 (all) to {SPLIT_SIZES[self.contexts]}"
+            raise ValueError(
+                f"limit = {self.limit} is outside the accepted range 0 (all) to {SPLIT_SIZES[self.contexts]}"
             )
         if self.figure and not set(self.figure) <= set(self.compare.metrics):
-            raise PydanticCustomError("figure", f"figure must be two of compare.metrics (given: {self.figure})")
+            raise ValueError(f"figure must be two of compare.metrics (given: {self.figure})")
         if isinstance(self.vary, Mapping) and not all(self.vary.values()):
-            raise PydanticCustomError("vary", "every field of vary needs at least one value")
+            raise ValueError("every field of vary needs at least one value")
         return self
 
     @property

@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import tomli_w
-from pydantic import AfterValidator, BeforeValidator, Field, ValidationError, model_validator
-from pydantic_core import PydanticCustomError
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from probe_agents.policies.bundle import Network
 from probe_agents.policies.cases import load_case
@@ -215,5 +214,4 @@ def _refused(field: str = "") -> Iterator[None]:
     try:
         yield
     except (ValueError, FileNotFoundError) as error:
-        text = explain(error, field) if isinstance(error, ValidationError) else f"{field}: {error}".removeprefix(": ")
-        raise PydanticCustomError("training", "{text}", {"text": text}) from error
+        raise ValueError(explain(error, field)) from error

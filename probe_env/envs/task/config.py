@@ -10,7 +10,6 @@ from typing import Annotated, Any, Final, Literal
 import numpy as np
 import numpy.typing as npt
 from pydantic import BeforeValidator, Field, ValidationInfo, model_validator
-from pydantic_core import PydanticCustomError
 
 from probe_env.arrays import BoolArray, FloatArray
 from probe_env.envs.task.scales import OBSERVATIONS, PRIVILEGED, PROBE, ROUND_TRIP, action_of, as_actions, share_between
@@ -191,10 +190,10 @@ def ungrouped(settings: Any) -> Any:
         table, accepted = renamed(settings[group]), ", ".join(GROUPS[group].model_fields)
         if not isinstance(table, Mapping) or not set(table) <= set(GROUPS[group].model_fields):
             text = f"{group} = {table!r}: must be a table of {accepted}"
-            raise PydanticCustomError("group", "{text}", {"text": text})
+            raise ValueError(text)
         if duplicates := set(table) & set(flat):
             text = f"{group}.{min(duplicates)}: given twice, in the group and by itself"
-            raise PydanticCustomError("group", "{text}", {"text": text})
+            raise ValueError(text)
         flat |= table
     return flat
 
@@ -220,8 +219,7 @@ class TaskConfig(Observation, Disturbances, Limits, Reward, Actuators, Timing, R
         for name in ("feed_speeds", "air_supply_rates"):
             (low, high), accepted = getattr(self, name), range_of(type(self), name)
             if accepted and not accepted.low <= low < high <= accepted.high:
-                raise PydanticCustomError(
-                    "range",
+                raise ValueError(
                     f"{name} = ({low!r}, {high!r}) must ascend within the accepted range {accepted.low:g} to"
                     f" {accepted.high:g} {accepted.unit}",
                 )
@@ -232,8 +230,7 @@ class TaskConfig(Observation, Disturbances, Limits, Reward, Actuators, Timing, R
         if self.permitted_feed < self.feed_speeds[0]:
             speed, requirement = self.permitted_speed
             in_steps = f" in steps of {self.feed_speed_step:g} m/s" if self.feed_speed_step > 0.0 else ""
-            raise PydanticCustomError(
-                "instrument",
+            raise ValueError(
                 f"instrument.{requirement} permits at most {speed:.4g} m/s, and feed_speeds begin at"
                 f" {self.feed_speeds[0]:g} m/s{in_steps}",
             )
@@ -242,9 +239,9 @@ class TaskConfig(Observation, Disturbances, Limits, Reward, Actuators, Timing, R
     @model_validator(mode="after")
     def _passes_need_a_length_that_changes(self) -> TaskConfig:
         if self.returns and not self.growing:
-            raise PydanticCustomError("passes", 'passes = "both" needs growing = true: the length must change')
+            raise ValueError('passes = "both" needs growing = true: the length must change')
         if self.shaping_weight > 0.0 and (self.returns or not self.growing):
-            raise PydanticCustomError("shaping", "shaping_weight > 0 needs growing = true and passes = 'in'")
+            raise ValueError("shaping_weight > 0 needs growing = true and passes = 'in'")
         return self
 
     @property

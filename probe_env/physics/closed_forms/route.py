@@ -17,7 +17,6 @@ from typing import Annotated, Final, NamedTuple, Self
 import numpy as np
 import numpy.typing as npt
 from pydantic import Field, model_validator
-from pydantic_core import PydanticCustomError
 
 from probe_env.arrays import FloatArray
 from probe_env.physics.closed_forms import GRAVITY, drag_per_metre
@@ -57,9 +56,9 @@ class Segment(Model):
     def _has_its_length(self) -> Self:
         if self.helix and (self.length is not None or self.bend_radius is not None):
             text = "helix = true has the length and the diameter of [tube]: leave out length and bend_radius"
-            raise PydanticCustomError("helix", "{text}", {"text": text})
+            raise ValueError(text)
         if not self.helix and self.length is None:
-            raise PydanticCustomError("length", "length is missing: 0.001 to 1000 m, or helix = true")
+            raise ValueError("length is missing: 0.001 to 1000 m, or helix = true")
         return self
 
 
@@ -67,9 +66,7 @@ def one_helix(route: tuple[Segment, ...]) -> tuple[Segment, ...]:
     """The route, if it is empty or has one helix, as a validator."""
     count = sum(segment.helix for segment in route)
     if route and count != 1:
-        raise PydanticCustomError(
-            "helix", "{count} segments have helix = true; the accepted number is 1", {"count": count}
-        )
+        raise ValueError(f"{count} segments have helix = true; the accepted number is 1")
     return route
 
 

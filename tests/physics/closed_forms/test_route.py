@@ -9,13 +9,7 @@ from scipy.optimize import brentq
 
 from probe_env import Scene
 from probe_env.physics.closed_forms import GRAVITY, steady_root_tension, tension_for_straight
-from probe_env.physics.closed_forms.route import (
-    Segment,
-    least_air,
-    required_root_tension,
-    route_forces,
-    uniform_drag,
-)
+from probe_env.physics.closed_forms.route import Segment, least_air, required_root_tension, route_forces, uniform_drag
 
 HELIX, RISING = Segment(helix=True), Segment(length=12.0, slope=90.0)
 AREA = math.pi / 4.0 * (0.0242**2 - 0.00835**2)
