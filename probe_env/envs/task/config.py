@@ -286,11 +286,6 @@ class TaskConfig(Observation, Disturbances, Limits, Reward, Actuators, Timing, R
         return math.ceil(self.most_periods / self.periods_per_action)
 
     @cached_property
-    def _ranges(self) -> FloatArray:
-        """(2, 2) low and high ends of feed speed and air supply."""
-        return np.array([self.feed_speeds, self.air_supply_rates]).T
-
-    @cached_property
     def observations(self) -> dict[str, tuple[float, float, str]]:
         """Name -> (low, high, meaning) of this variant's observation."""
         visible = {k: v for k, v in OBSERVATIONS.items() if k != "root_tension" or self.observe_root_tension}
@@ -340,7 +335,7 @@ class TaskConfig(Observation, Disturbances, Limits, Reward, Actuators, Timing, R
     def scaled(self, actions: npt.NDArray[np.floating]) -> FloatArray:
         """``targets`` of valid actions."""
         values = actions.astype(float)
-        low, high = self._ranges
+        low, high = np.array([self.feed_speeds, self.air_supply_rates]).T
         targets: FloatArray = low + 0.5 * (np.minimum(np.maximum(values, -1.0), 1.0) + 1.0) * (high - low)
         for column, step in enumerate((self.feed_speed_step, self.air_supply_step)):
             if step > 0.0:

@@ -181,6 +181,14 @@ def test_the_vibration_measure_can_be_chosen():
     assert all(value < 0.0 for value in vibration.values())
 
 
+def test_tasks_stay_equal_after_use():
+    tasks = TaskConfig(), TaskConfig()
+    for task in tasks:
+        assert task.observations
+        task.scaled(np.zeros((1, 2)))
+    assert tasks[0] == tasks[1]
+
+
 def test_percentiles_of_the_histogram():
     samples = np.random.default_rng(0).normal(size=(100, 100)) * 1e-4
     percentiles = Percentiles()
