@@ -1,7 +1,5 @@
 """The site: Sphinx, Furo, MyST, with warnings as errors, by ``make docs`` and by a test; needs the extra agents too."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

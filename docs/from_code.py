@@ -3,8 +3,6 @@
 A line ``<!-- from code: WHAT NAME -->`` of a page is replaced by what the function ``WHAT`` says of ``NAME``.
 """
 
-from __future__ import annotations
-
 import inspect
 import math
 import re
@@ -53,9 +51,9 @@ def methods() -> str:
     for method in METHODS.values():
         stable, contact = (limit(scene, 4) for limit in (method.stable_step, method.contact_step))
         steps = [f"{step:.2g} s" if math.isfinite(step) else "any" for step in (stable, contact)]
-        least = f"{method.least_step:g} s" if method.least_step else "-"
+        minimum = f"{method.min_step:g} s" if method.min_step else "-"
         usual = f"{method.usual_step:g} s"
-        rows.append((f"`{method.name}`", str(method.order), usual, *steps, least, str(method.width)))
+        rows.append((f"`{method.name}`", str(method.order), usual, *steps, minimum, str(method.width)))
     header = "method,order,usual step,known to hold up to,contact allows,at least,probes side by side"
     return _table(header.split(","), rows)
 

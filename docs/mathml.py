@@ -1,7 +1,5 @@
 """Mathematics as MathML, which browsers draw by themselves: no script, no pictures and no fonts from outside."""
 
-from __future__ import annotations
-
 from docutils import nodes
 from latex2mathml.converter import convert
 from sphinx.application import Sphinx

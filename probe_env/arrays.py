@@ -1,7 +1,5 @@
 """Types of arrays, and rows of the arrays of an object."""
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Sequence
 from typing import Any, TypeVar

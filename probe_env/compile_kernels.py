@@ -3,8 +3,6 @@
 Without it the first run of a method takes some ten seconds longer; numba keeps what it compiled beside the sources.
 """
 
-from __future__ import annotations
-
 import sys
 
 from probe_env.envs.episodes.starts import WITHDRAWAL_SCENE
@@ -21,7 +19,7 @@ def compile_kernels() -> None:
         print(f"kernels of {method.name} ({number} of {len(METHODS)})", file=sys.stderr)
         short = Scene(carrier_length=1.0)
         Simulator(short, method, method.usual_step).run(1e-3)
-        if method.single_share < 1.0:  # then one probe has a kernel of its own
+        if method.single_fraction < 1.0:  # then one probe has a kernel of its own
             SimulatorBatch([short] * method.width, method, method.usual_step).advance(duration=1e-3)
     compressed = Scene.model_validate({"carrier_length": 1.0} | WITHDRAWAL_SCENE)
     Simulator(compressed, ROUND_TRIP_PRESETS["standard"].simulated_method, 1e-4).run(1e-3)

@@ -34,11 +34,11 @@ float of the study leaves 4.2 mm."""
 
 def ranges_in(scene: Scene) -> dict[str, tuple[float, float, str]]:
     """``RANGES``, with float diameters limited by the bore and the cable of a scene."""
-    most, least = scene.tube.clear_diameter - CLEARANCE, scene.probe.cable_diameter + CLEARANCE
+    maximum, minimum = scene.tube.clear_diameter - CLEARANCE, scene.probe.cable_diameter + CLEARANCE
     cut = dict(RANGES)
     for name in ("guide_float_diameter", "carrier_float_diameter"):
         low, high, unit = RANGES[name]
-        cut[name] = (max(low, least), min(high, most), unit)
+        cut[name] = (max(low, minimum), min(high, maximum), unit)
         if not cut[name][0] < cut[name][1]:
             raise ValueError(
                 f"inner_diameter = {scene.tube.inner_diameter:g} m: no {name} of the design space, {low:g} to {high:g}"
@@ -70,11 +70,11 @@ class Design(Model):
     @classmethod
     def from_unit(cls, point: npt.ArrayLike) -> Self:
         """The design at a point (7,) of the unit cube."""
-        shares = np.asarray(point, dtype=float)
-        if shares.shape != (len(RANGES),) or not ((shares >= 0.0) & (shares <= 1.0)).all():
+        fractions = np.asarray(point, dtype=float)
+        if fractions.shape != (len(RANGES),) or not ((fractions >= 0.0) & (fractions <= 1.0)).all():
             raise ValueError(f"point = {point!r} must be {len(RANGES)} numbers within 0 to 1")
-        pairs = zip(RANGES.items(), shares, strict=True)
-        return cls(**{name: float(low + share * (high - low)) for (name, (low, high, _)), share in pairs})
+        pairs = zip(RANGES.items(), fractions, strict=True)
+        return cls(**{name: float(low + fraction * (high - low)) for (name, (low, high, _)), fraction in pairs})
 
     def to_unit(self) -> FloatArray:
         """Point (7,) of the design in the unit cube."""

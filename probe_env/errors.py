@@ -1,7 +1,5 @@
 """Warnings and errors of a simulation."""
 
-from __future__ import annotations
-
 
 class StabilityWarning(UserWarning):
     """The time step is beyond the known stable limit, or the couple of (9) adds energy to a compressed probe."""

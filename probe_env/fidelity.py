@@ -9,8 +9,6 @@ insertions with time-lapse. They are errors in time and mesh; the error of the m
 larger (docs/fidelity.md).
 """
 
-from __future__ import annotations
-
 import csv
 import logging
 import math
@@ -49,7 +47,7 @@ TOLERANCE: Final = 0.25
 """Default tolerance of "auto", a relative error."""
 NEAR: Final = 2.0
 """Errors measured at one stiffness are used for stiffnesses within this factor."""
-MOST_TIME_LAPSE: Final = 4.0
+MAX_TIME_LAPSE: Final = 4.0
 """Errors of time-lapse were measured at steady feeds; at 8, a controller feeds faster than the vibration develops."""
 AUTO: Final = re.compile(r"auto(?::(?P<tolerance>[^:]+))?")
 MESH_NODES, MESH_STEP = 8, 1.25e-4
@@ -337,10 +335,10 @@ def choose_fidelity(
         for row in measured_errors()
         if row.output in needed and row.stiffness in stiffnesses and row.length in lengths
     ]
-    most = MOST_TIME_LAPSE if growing else 1.0
+    maximum = MAX_TIME_LAPSE if growing else 1.0
     cases = {(row.length, row.stiffness, row.output) for row in relevant if row.length is not None}
     rated = []
-    for fidelity in dict.fromkeys(row.fidelity for row in measured_errors() if row.fidelity.time_lapse <= most):
+    for fidelity in dict.fromkeys(row.fidelity for row in measured_errors() if row.fidelity.time_lapse <= maximum):
         try:
             stable = fidelity.time_step <= fidelity.simulated_method.stable_step(scene, fidelity.nodes_per_pitch)
         except ValueError:  # the contact stiffness needs more modes than a superelement supports
@@ -354,8 +352,12 @@ def choose_fidelity(
             rated.append((error, cost / fidelity.time_lapse, fidelity))
     within = [entry for entry in rated if entry[0] <= tolerance]
     if not within:
-        least = min(rated, default=None)
-        best = f"the least error is {least[0]:.2g} ({summary_text(least[2])})" if least else "no errors were measured"
+        minimum = min(rated, default=None)
+        best = (
+            f"the least error is {minimum[0]:.2g} ({summary_text(minimum[2])})"
+            if minimum
+            else "no errors were measured"
+        )
         raise ValueError(f"tolerance = {tolerance:g} is not met by any settings for this scene: {best}")
     error, cost, chosen = min(within, key=lambda entry: (entry[1], entry[0]))
     reason = (

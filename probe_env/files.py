@@ -3,8 +3,6 @@
 Every error is one line, ``FILE: location: problem``, whatever the content or the name of the file.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import stat
@@ -21,7 +19,7 @@ import numpy.typing as npt
 MEBI: Final = 1 << 20
 FLAGS: Final = os.O_RDONLY | sum(getattr(os, name, 0) for name in ("O_NONBLOCK", "O_CLOEXEC", "O_BINARY"))
 """Flags of opening, if the system has them; without ``O_NONBLOCK`` opening a pipe would wait for its other end."""
-LONGEST_LINE: Final = 2000
+MAX_LINE: Final = 2000
 """Most characters of an error."""
 DEEPEST_KEY: Final = 16
 """Most parts of a dotted key in TOML; the parser's time is quadratic in their number."""
@@ -48,8 +46,8 @@ def one_line(text: str) -> str:
     """A text of bounded length for a terminal, with characters that are not printable replaced by escapes."""
     joined = "; ".join(part.strip() for part in text.splitlines() if part.strip()) if "\n" in text else text
     line = escaped(joined)
-    half = LONGEST_LINE // 2  # an error begins with the file and ends with the reason
-    return line if len(line) <= LONGEST_LINE else f"{line[:half]} ... {line[-half:]}"
+    half = MAX_LINE // 2  # an error begins with the file and ends with the reason
+    return line if len(line) <= MAX_LINE else f"{line[:half]} ... {line[-half:]}"
 
 
 def escaped(text: str) -> str:
@@ -57,8 +55,8 @@ def escaped(text: str) -> str:
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text)
 
 
-def open_regular(path: str | Path, most: int) -> BinaryIO:
-    """Open a regular file of at most ``most`` bytes for reading.
+def open_regular(path: str | Path, max_bytes: int) -> BinaryIO:
+    """Open a regular file of at most ``max_bytes`` bytes for reading.
 
     Raises:
         FileNotFoundError: no such file.
@@ -78,30 +76,30 @@ def open_regular(path: str | Path, most: int) -> BinaryIO:
         os.close(handle)
         raise FileError(path, f"{kind}, not a file")
     size = os.fstat(handle).st_size
-    if size > most:
+    if size > max_bytes:
         file.close()
-        raise FileError(path, f"{size} bytes are more than the {most} that such a file may have")
+        raise FileError(path, f"{size} bytes are more than the {max_bytes} that such a file may have")
     return file
 
 
-def read_bytes(path: str | Path, most: int) -> bytes:
-    """The content of a regular file of at most ``most`` bytes; raises as ``open_regular``."""
-    with open_regular(path, most) as file:
+def read_bytes(path: str | Path, max_bytes: int) -> bytes:
+    """The content of a regular file of at most ``max_bytes`` bytes; raises as ``open_regular``."""
+    with open_regular(path, max_bytes) as file:
         try:
             size = os.fstat(file.fileno()).st_size
             content = file.read(size + 1)  # a longer request would take the memory for it
             if len(content) > size:
-                content += file.read(most + 1 - len(content))
+                content += file.read(max_bytes + 1 - len(content))
         except OSError as error:
             raise FileError(path, f"cannot be read: {error.strerror}") from error
-    if len(content) > most:
-        raise FileError(path, f"more than the {most} bytes that such a file may have")
+    if len(content) > max_bytes:
+        raise FileError(path, f"more than the {max_bytes} bytes that such a file may have")
     return content
 
 
-def read_text(path: str | Path, most: int = MEBI) -> str:
+def read_text(path: str | Path, max_bytes: int = MEBI) -> str:
     """The text of a file in UTF-8, with or without a byte order mark; raises as ``open_regular``."""
-    return as_text(path, read_bytes(path, most))
+    return as_text(path, read_bytes(path, max_bytes))
 
 
 def as_text(path: str | Path, content: bytes, first: int = 1) -> str:
@@ -126,14 +124,9 @@ def as_text(path: str | Path, content: bytes, first: int = 1) -> str:
     return text
 
 
-def read_toml(path: str | Path, most: int = MEBI) -> dict[str, Any]:
-    """A TOML file as a dictionary.
-
-    Raises:
-        FileNotFoundError: no such file.
-        FileError: as ``read_text``, not TOML, or nested too deeply.
-    """
-    text = read_text(path, most).replace("\r\n", "\n")
+def read_toml(path: str | Path, max_bytes: int = MEBI) -> dict[str, Any]:
+    """A TOML file as a dictionary."""
+    text = read_text(path, max_bytes).replace("\r\n", "\n")
     deep = DEEP_KEY.search(text)
     if deep:
         line = text.count("\n", 0, deep.start()) + 1
@@ -146,7 +139,7 @@ def read_toml(path: str | Path, most: int = MEBI) -> dict[str, Any]:
         raise FileError(path, "not a TOML file of this kind: nested too deeply") from None
 
 
-MOST_BYTES: Final = 512 * MEBI
+MAX_BYTES: Final = 512 * MEBI
 KINDS: Final = {"f": "numbers", "U": "text"}
 Array = npt.NDArray[Any]
 _BROKEN = (zipfile.BadZipFile, zlib.error, ValueError, KeyError, OSError, EOFError, RuntimeError, MemoryError)
@@ -162,11 +155,11 @@ def read_arrays(path: Path, expected: Callable[[str], str]) -> dict[str, Array]:
         FileError: not an archive, too large, or an array that is unexpected, of another kind or not finite.
     """
     try:
-        with open_regular(path, MOST_BYTES) as file:
+        with open_regular(path, MAX_BYTES) as file:
             with zipfile.ZipFile(file) as archive:
                 members = archive.infolist()
             total = sum(member.file_size for member in members)
-            if total > MOST_BYTES or len({member.filename for member in members}) < len(members):
+            if total > MAX_BYTES or len({member.filename for member in members}) < len(members):
                 raise ValueError(f"{total} bytes when unpacked, or an array twice")
             with np.load(file, allow_pickle=False) as arrays:
                 content = {name: arrays[name] for name in arrays.files}

@@ -5,8 +5,6 @@ fails. It checks a kernel's own file only, not the functions of other files that
 ``ensure_kernel_cache`` before the first kernel is imported.
 """
 
-from __future__ import annotations
-
 import atexit
 import hashlib
 import os

@@ -1,7 +1,5 @@
 """What the machine grants: cores."""
 
-from __future__ import annotations
-
 import os
 
 

@@ -4,8 +4,6 @@ Defaults are table 2 of the study with a carrier of 50 m. Scenes are read from a
 values out of range and impossible geometry raise a ``ValueError`` that names field, value and accepted range.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -168,8 +166,8 @@ class Scene(Model):
             probe = Probe.model_validate(fields.get("probe", {}))
         except ValidationError:
             return cls.model_validate(fields)  # raises an error with the full name of the field
-        longest = min(cls.model_fields["carrier_length"].default, tube.helix_length - probe.guide_length)
-        fields.setdefault("carrier_length", max(whole_pitches(longest, probe), probe.float_pitch))
+        max_length = min(cls.model_fields["carrier_length"].default, tube.helix_length - probe.guide_length)
+        fields.setdefault("carrier_length", max(whole_pitches(max_length, probe), probe.float_pitch))
         return cls.model_validate(fields)
 
     def to_toml(self, path: str | Path | None = None) -> str:

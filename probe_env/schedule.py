@@ -38,7 +38,7 @@ SEPARATORS: Final = (
     " - semicolons or decimal commas? Commas between columns need decimal points; where semicolons are between columns,"
     " probe-env reads decimal commas, too"
 )
-MOST_BYTES, MOST_POINTS, MOST_COLUMNS = 64 * MEBI, 1_000_000, 1000
+MAX_BYTES, MAX_POINTS, MAX_COLUMNS = 64 * MEBI, 1_000_000, 1000
 """Limits of a file; enough for three hours of a log at 100 Hz."""
 
 
@@ -82,8 +82,8 @@ class Schedule:
         lengths = self.start_length + fed
         k = np.searchsorted(lengths, inserted - 1e-5)  # float32 lengths
         before, after = np.clip(k - 1, 0, None), np.clip(k, None, len(position) - 1)
-        share = (inserted - lengths[before]) / np.maximum(lengths[after] - lengths[before], 1e-9)
-        return np.asarray(position[before] + np.clip(share, 0.0, 1.0) * (position[after] - position[before]))
+        fraction = (inserted - lengths[before]) / np.maximum(lengths[after] - lengths[before], 1e-9)
+        return np.asarray(position[before] + np.clip(fraction, 0.0, 1.0) * (position[after] - position[before]))
 
     @cached_property
     def _integral(self) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -150,7 +150,7 @@ def withdrawal_of_rows(path: Path, interpolation: str, rows: Sequence[Row]) -> S
 
 
 def _from_csv(path: Path) -> tuple[str, list[Row]]:
-    lines = re.split("\r\n|\r|\n", read_text(path, MOST_BYTES))
+    lines = re.split("\r\n|\r|\n", read_text(path, MAX_BYTES))
     interpolation, first = "linear", 0
     if lines[0].startswith("#"):
         if not lines[0].startswith(CSV_COMMENT):
@@ -175,8 +175,8 @@ def _from_csv(path: Path) -> tuple[str, list[Row]]:
             else:
                 used = ((name, value) for name, value in zip(header, row, strict=True) if name in COLUMNS)
                 named.append((f"line {line}", dict(used)))
-            if len(named) > MOST_POINTS:
-                raise FileError(path, f"line {line}: more than the {MOST_POINTS} points that a schedule may have")
+            if len(named) > MAX_POINTS:
+                raise FileError(path, f"line {line}: more than the {MAX_POINTS} points that a schedule may have")
     except csv.Error as error:
         raise FileError(path, f"line {first + table.line_num}: not CSV: {error}") from error
     if not header:
@@ -185,8 +185,8 @@ def _from_csv(path: Path) -> tuple[str, list[Row]]:
 
 
 def _check_header(path: Path, line: int, header: list[str]) -> None:
-    if len(header) > MOST_COLUMNS:
-        raise FileError(path, f"line {line}: {len(header)} columns are more than {MOST_COLUMNS}")
+    if len(header) > MAX_COLUMNS:
+        raise FileError(path, f"line {line}: {len(header)} columns are more than {MAX_COLUMNS}")
     for name in header:
         if name and header.count(name) > 1:
             raise FileError(path, f"column {name!r} appears {header.count(name)} times in the header")
@@ -228,8 +228,8 @@ def _validated(
     if rows[0][0] == "header":
         raise FileError(path, "no rows: at least one is needed")
     column = next(name for name in POSITIONS if name in rows[0][1])
-    (over, most, unit), length = POSITIONS[column], "inserted_length_m"
-    ranges = {column: (0.0, most, unit)} | {columns[name]: range_ for name, range_ in RANGES.items()}
+    (over, maximum, unit), length = POSITIONS[column], "inserted_length_m"
+    ranges = {column: (0.0, maximum, unit)} | {columns[name]: range_ for name, range_ in RANGES.items()}
     position, feed, air = (
         tuple(_number(path, location, name, row.get(name), range_) for location, row in rows)
         for name, range_ in ranges.items()

@@ -3,8 +3,6 @@
 Models are frozen, have strict types and accept no unknown keys. Errors name field, value and accepted range.
 """
 
-from __future__ import annotations
-
 import difflib
 import math
 from collections.abc import Iterable, Iterator, Mapping
@@ -18,7 +16,7 @@ from pydantic_core import CoreSchema, core_schema
 
 from probe_env.files import FileError, read_toml
 
-MOST_ERRORS = 8
+MAX_ERRORS = 8
 """Most errors in one message."""
 
 
@@ -114,14 +112,14 @@ def explain(error: Exception, within: str = "") -> str:
     if not isinstance(error, ValidationError):
         return f"{within}: {error}" if within else str(error)
     lines, problems = [], error.errors(include_url=False, include_context=False)
-    for item in problems[:MOST_ERRORS]:
+    for item in problems[:MAX_ERRORS]:
         field = ".".join(str(part) for part in (*filter(None, [within]), *item["loc"]))
         value = "" if isinstance(item["input"], dict | Model) else f" (given: {_short(item['input'])})"
         message = item["msg"].removeprefix("Value error, ")
         if item["type"] == "extra_forbidden":
             message = _no_such_field(error.title, item["loc"])
         lines.append(f"{field}: {message}{value}" if field else message)
-    more = [f"and {len(problems) - MOST_ERRORS} more"] if len(problems) > MOST_ERRORS else []
+    more = [f"and {len(problems) - MAX_ERRORS} more"] if len(problems) > MAX_ERRORS else []
     return "; ".join(lines + more)
 
 

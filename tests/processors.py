@@ -6,8 +6,6 @@ machine's features under the name of another processor unless they are left to t
 of every statistical test.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import re

@@ -1,7 +1,5 @@
 """Stable-Baselines3's VecEnv over the native batch."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from typing import Any, Literal, Unpack
 

@@ -5,8 +5,6 @@ of contexts for training, validation and test ship in ``data/contexts.csv``. Eve
 helix diameters and spread over friction. The script that made the file is in the history, at commit 8c1cf8d.
 """
 
-from __future__ import annotations
-
 import csv
 import hashlib
 from functools import lru_cache

@@ -1,7 +1,5 @@
 """Design-v1: the action is the design of a probe."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any, ClassVar, Unpack, cast
 
@@ -21,7 +19,7 @@ from probe_env.envs.episodes.starts import (
     sample_context,
     settling_inputs,
 )
-from probe_env.envs.task import TaskConfig, action_of, as_actions, share_of
+from probe_env.envs.task import TaskConfig, action_of, as_actions, fraction_of
 from probe_env.envs.task.scales import OBSERVATIONS, PRIVILEGED, UNITS
 from probe_env.envs.trials import (
     HARDEST,
@@ -94,7 +92,7 @@ class DesignEnv(StepLimitSpec, gym.Env[Observation, Observation]):
     """
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": []}  # type: ignore[misc]
-    most_steps = 1
+    max_steps = 1
 
     @one_line_errors()
     def __init__(
@@ -145,7 +143,7 @@ class DesignEnv(StepLimitSpec, gym.Env[Observation, Observation]):
         values = as_actions(action, (len(RANGES),)).astype(float)
         if not (np.abs(values) <= 1.0 + 1e-6).all():
             raise ValueError(f"action = {action!r} must be {len(RANGES)} numbers within -1 to 1: {', '.join(RANGES)}")
-        return Design.from_unit(share_of(values))
+        return Design.from_unit(fraction_of(values))
 
     @one_line_errors()
     def reset(

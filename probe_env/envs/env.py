@@ -1,7 +1,5 @@
 """Gymnasium environments: wrappers of ``Episodes`` with one probe, or with N in one batch for ``make_vec``."""
 
-from __future__ import annotations
-
 import operator
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
@@ -95,7 +93,7 @@ class StepLimitSpec:
     The number is not registered, because it depends on the arguments: Gymnasium would truncate at the registered one.
     """
 
-    most_steps: int
+    max_steps: int
     _spec: EnvSpec | None = None
 
     @property
@@ -105,7 +103,7 @@ class StepLimitSpec:
 
     @spec.setter
     def spec(self, spec: EnvSpec | None) -> None:
-        self._spec = spec and replace(spec, max_episode_steps=self.most_steps, kwargs=to_json(spec.kwargs))
+        self._spec = spec and replace(spec, max_episode_steps=self.max_steps, kwargs=to_json(spec.kwargs))
 
 
 class ProbeEnv(StepLimitSpec, gym.Env[Observation, Observation]):
@@ -126,7 +124,7 @@ class ProbeEnv(StepLimitSpec, gym.Env[Observation, Observation]):
             raise ValueError(f"render_mode = {render_mode!r} is not one of {', '.join(RENDER_MODES)}")
         self.episodes = Episodes(1, config, defaults=self.defaults, threads=1, caller="gym.make", **settings)
         self.config = self.episodes.config
-        self.most_steps = self.config.most_actions
+        self.max_steps = self.config.max_actions
         if not self.episodes.backend.samples:
             if render_mode is not None:
                 raise ValueError(f"render_mode = {render_mode!r}: fidelity 'surrogate' simulates no motion to render")
@@ -387,7 +385,7 @@ class ProbeVectorEnv(StepLimitSpec, gym.vector.VectorEnv[Observation, Observatio
         self._seeds = [-1] * num_envs
         self._ended = np.zeros(num_envs, dtype=bool)
         self.max_episode_steps, self._steps = max_episode_steps, np.zeros(num_envs, dtype=int)
-        self.most_steps = min(max_episode_steps or self.config.most_actions, self.config.most_actions)
+        self.max_steps = min(max_episode_steps or self.config.max_actions, self.config.max_actions)
 
     @property
     def np_random_seed(self) -> tuple[int, ...]:  # type: ignore[override]  # as SyncVectorEnv

@@ -5,8 +5,6 @@ the task includes the scene, so that results of different plants are never mixed
 mean with its standard deviation, or the joint draws of a calibration, read from ``calibration.json``.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import warnings
@@ -27,7 +25,7 @@ from probe_env.envs.task import VISIBLE_FIELDS, TaskConfig, ungrouped
 from probe_env.files import MEBI, FileError, read_bytes, read_toml
 from probe_env.inspection.instrument import Instrument
 from probe_env.inspection.sensor import Sensor
-from probe_env.physics.closed_forms.route import Route, least_air, one_helix, required_root_tension, route_forces
+from probe_env.physics.closed_forms.route import Route, min_air, one_helix, required_root_tension, route_forces
 from probe_env.scene import Air, Contact, Probe, Scene, Tube
 from probe_env.settings import Model, Quantity, explain, quantity, range_of, tuples, within
 
@@ -65,17 +63,17 @@ def _as_figure(value: Any) -> Any:
 Figure = Annotated[float | Between | Normal, BeforeValidator(_as_figure)]
 
 
-def quantiles(figure: Figure, shares: npt.ArrayLike, low: float, high: float) -> FloatArray:
-    """Quantiles of a figure at ``shares`` in (0, 1), of their shape; ``low`` and ``high`` are its accepted range."""
-    shares = np.asarray(shares, dtype=float)
+def quantiles(figure: Figure, fractions: npt.ArrayLike, low: float, high: float) -> FloatArray:
+    """Quantiles of a figure at ``fractions`` in (0, 1), of their shape; ``low`` and ``high`` are its accepted range."""
+    fractions = np.asarray(fractions, dtype=float)
     match figure:
         case Between():
-            return figure.low + shares * (figure.high - figure.low)
+            return figure.low + fractions * (figure.high - figure.low)
         case Normal():
             ends = (low - figure.mean) / figure.std, (high - figure.mean) / figure.std
-            return np.asarray(truncnorm.ppf(shares, *ends, loc=figure.mean, scale=figure.std))
+            return np.asarray(truncnorm.ppf(fractions, *ends, loc=figure.mean, scale=figure.std))
         case _:
-            return np.full(shares.shape, figure)
+            return np.full(fractions.shape, figure)
 
 
 def middle(figure: Figure, low: float, high: float) -> float:
@@ -217,9 +215,9 @@ class Bundle(Model):
         return self
 
 
-MOST_FILE: Final = 16 * MEBI
-MOST_DRAWS: Final = 4096
-Draws = Annotated[tuple[FiniteFloat, ...], Field(min_length=1, max_length=MOST_DRAWS)]
+MAX_FILE: Final = 16 * MEBI
+MAX_DRAWS: Final = 4096
+Draws = Annotated[tuple[FiniteFloat, ...], Field(min_length=1, max_length=MAX_DRAWS)]
 
 
 class Posterior(Model):
@@ -252,7 +250,7 @@ class Posterior(Model):
     @classmethod
     def read(cls, path: Path) -> Self:
         """The draws of a calibration."""
-        text = read_bytes(path, MOST_FILE)
+        text = read_bytes(path, MAX_FILE)
         try:
             content = json.loads(text)
         except (ValueError, RecursionError) as error:
@@ -272,11 +270,11 @@ class Posterior(Model):
         except ValidationError as error:
             raise FileError(path, explain(error, "draws")) from error
 
-    def rows(self, shares: FloatArray) -> dict[str, FloatArray]:
-        """Joint draws (n,) at ``shares`` (n,) in (0, 1) of their order by the first quantity."""
+    def rows(self, fractions: FloatArray) -> dict[str, FloatArray]:
+        """Joint draws (n,) at ``fractions`` (n,) in (0, 1) of their order by the first quantity."""
         draws = self.draws
         order = np.argsort(next(iter(draws.values())), kind="stable")
-        rows = order[np.minimum((np.asarray(shares) * len(order)).astype(int), len(order) - 1)]
+        rows = order[np.minimum((np.asarray(fractions) * len(order)).astype(int), len(order) - 1)]
         return {name: values[rows] for name, values in draws.items()}
 
     def middle(self, name: str) -> float:
@@ -308,11 +306,11 @@ def with_posterior(plant: Mapping[str, Any], folder: Path | None = None) -> dict
     return tables
 
 
-MOST_TUBES: Final = 4096
+MAX_TUBES: Final = 4096
 FACTORS: Final = (0.1, 10.0)
 """Accepted range of the drag factor of a ``Context``."""
 RARE: Final = 1e-6
-LONGEST: Final = 60.0  # [m], longest helix for which the default time limit is made
+MAX_LENGTH: Final = 60.0  # [m], longest helix for which the default time limit is made
 OF_FEED, OF_AIR = ("feed_speeds", "feed_speed_step", "ramp"), ("air_supply_rates", "air_supply_step", "air_lag")
 """Fields of the task in the tables of the feed device and of the air."""
 
@@ -370,10 +368,12 @@ class Plant(Model):
                 reason = f"belongs in [{misplaced[name]}]" if name in misplaced else "is set by the policy"
                 raise ValueError(f"task.{name}: {reason}")
         check_draws(self.posterior)
-        least, most = self._drag_factors(np.array([RARE, 1.0 - RARE]))
+        minimum, maximum = self._drag_factors(np.array([RARE, 1.0 - RARE]))
         low, high = FACTORS
-        if not low <= least <= most <= high:
-            text = f"air.drag_coefficient: {least:g} to {most:g} times its median is beyond {low:g} to {high:g} times"
+        if not low <= minimum <= maximum <= high:
+            text = (
+                f"air.drag_coefficient: {minimum:g} to {maximum:g} times its median is beyond {low:g} to {high:g} times"
+            )
             raise ValueError(text)
         try:
             assert self.scenes
@@ -442,8 +442,8 @@ class Plant(Model):
             name: getattr(part, name) for part, names in ((self.feed, OF_FEED), (self.air, OF_AIR)) for name in names
         }
         values: dict[str, Any] = {"scene": self.scene, "sensor": self.sensor, "instrument": self.instrument}
-        if self.tube.helix_length > LONGEST:
-            values["time_limit"] = TaskConfig().time_limit * self.tube.helix_length / LONGEST
+        if self.tube.helix_length > MAX_LENGTH:
+            values["time_limit"] = TaskConfig().time_limit * self.tube.helix_length / MAX_LENGTH
         if self.route:
             values["required_tension"] = self._route_tension
         values |= dict(defaults or {}) | {name: value for name, value in device.items() if value is not None}
@@ -454,13 +454,13 @@ class Plant(Model):
         """Root tension that the parts before the helix need [N], at the median friction; most in the largest helix."""
         return required_root_tension(self.route, max(self.scenes, key=lambda scene: scene.tube.helix_diameter))
 
-    def check_route(self, contexts: Sequence[Context] = (), share: float = 0.95) -> float:
+    def check_route(self, contexts: Sequence[Context] = (), fraction: float = 0.95) -> float:
         """Least air supply rate [m3/s] with which the probe gets through the route; 0 without a route.
 
         Args:
-            contexts: tubes; friction is taken at their quantile ``share`` and drag at 1 - ``share``, in the smallest
-                helix, which has the least tension. Empty: medians.
-            share: of the tubes.
+            contexts: tubes; friction is taken at their quantile ``fraction`` and drag at 1 - ``fraction``, in the
+                smallest helix, which has the least tension. Empty: medians.
+            fraction: of the tubes.
 
         Raises:
             ValueError: the most air of the plant is not enough; names the position of the tip where the probe stops.
@@ -470,13 +470,13 @@ class Plant(Model):
         scene = min(self.scenes, key=lambda scene: scene.tube.helix_diameter)
         changes: dict[str, Any] = {"feed_speed": self.config.feed_speeds[0]}
         if contexts:
-            drag = np.quantile([context.drag_factor for context in contexts], 1.0 - share)
-            friction = np.quantile([context.friction for context in contexts], share)
+            drag = np.quantile([context.drag_factor for context in contexts], 1.0 - fraction)
+            friction = np.quantile([context.friction for context in contexts], fraction)
             changes["air"] = {"drag_coefficient": float(drag) * scene.air.drag_coefficient}
             changes["contact"] = {"friction": float(friction)}
-        scene, most = scene.model_copy(update=changes), self.config.air_supply_rates[1]
-        forces = route_forces(self.route, scene, most)
-        air = least_air(self.route, scene)
+        scene, maximum = scene.model_copy(update=changes), self.config.air_supply_rates[1]
+        forces = route_forces(self.route, scene, maximum)
+        air = min_air(self.route, scene)
         short = np.flatnonzero(forces.feed < -1e-9)
         if short.size:
             stop, needed = short[0], air.max()
@@ -484,7 +484,7 @@ class Plant(Model):
             raise ValueError(
                 f"route.{forces.segment[stop]}: the probe stops with its tip {forces.tip[stop]:.3g} m from the feed"
                 f" device, which would have to push with {-forces.feed[stop]:.2g} N: the most air of"
-                f" air_supply_rates is {3600.0 * most:.4g} m3/h, and {more} is enough for the whole route"
+                f" air_supply_rates is {3600.0 * maximum:.4g} m3/h, and {more} is enough for the whole route"
             )
         return float(air.max())
 
@@ -499,14 +499,14 @@ class Plant(Model):
             time = length / self.bundle.withdrawal_speed
         return self.bundle.model_copy(update={"withdrawal_time": time, "withdrawal_speed": None})
 
-    def _drag_factors(self, shares: FloatArray) -> FloatArray:
+    def _drag_factors(self, fractions: FloatArray) -> FloatArray:
         """(n,) drag over its median at shares (n,) in (0, 1)."""
         median = self._middle("drag_coefficient")
         if self.posterior and "drag_coefficient" in self.posterior.draws:
-            drag = np.quantile(self.posterior.draws["drag_coefficient"], shares)
+            drag = np.quantile(self.posterior.draws["drag_coefficient"], fractions)
         else:
-            drag = quantiles(self.air.drag_coefficient, shares, *DRAG)
-        return drag / median if median > 0.0 else np.ones(len(shares))
+            drag = quantiles(self.air.drag_coefficient, fractions, *DRAG)
+        return drag / median if median > 0.0 else np.ones(len(fractions))
 
     def contexts(self, count: int, seed: int = 0) -> tuple[Context, ...]:
         """Sample ``count`` tubes with friction, stiffness and drag spread over their distributions.
@@ -515,19 +515,19 @@ class Plant(Model):
         equally often, each with samples over the whole distribution. A longer list begins with the shorter one. Draws
         of a posterior stay joint; its damping is the median in all tubes.
         """
-        if not 1 <= count <= MOST_TUBES:
-            raise ValueError(f"tubes = {count!r} is outside the accepted range 1 to {MOST_TUBES}")
+        if not 1 <= count <= MAX_TUBES:
+            raise ValueError(f"tubes = {count!r} is outside the accepted range 1 to {MAX_TUBES}")
         blocks = -(-count // len(self.diameters))
-        shares = qmc.Halton(3, rng=np.random.default_rng([2026, seed])).random(blocks * len(self.diameters))
-        helices = _balanced_diameters(shares, self.diameters)
-        shares = shares[:count]
+        fractions = qmc.Halton(3, rng=np.random.default_rng([2026, seed])).random(blocks * len(self.diameters))
+        helices = _balanced_diameters(fractions, self.diameters)
+        fractions = fractions[:count]
         samples = {
-            "friction": quantiles(self.contact.friction, shares[:, 0], *FRICTION),
-            "contact_stiffness": quantiles(self.contact.stiffness, shares[:, 1], *STIFFNESS),
+            "friction": quantiles(self.contact.friction, fractions[:, 0], *FRICTION),
+            "contact_stiffness": quantiles(self.contact.stiffness, fractions[:, 1], *STIFFNESS),
         }
-        factor = self._drag_factors(shares[:, 2])
+        factor = self._drag_factors(fractions[:, 2])
         if self.posterior:
-            joint = self.posterior.rows(shares[:, 0])
+            joint = self.posterior.rows(fractions[:, 0])
             samples |= {name: values for name, values in joint.items() if name in samples}
             if "drag_coefficient" in joint:
                 factor = joint["drag_coefficient"] / self._middle("drag_coefficient")
@@ -580,7 +580,7 @@ def implausible(plant: Plant) -> str:
     return ""
 
 
-def _balanced_diameters(shares: FloatArray, diameters: Sequence[float]) -> list[float]:
+def _balanced_diameters(fractions: FloatArray, diameters: Sequence[float]) -> list[float]:
     """Diameter of each tube: every block has all diameters, and each diameter has samples over the whole distribution.
 
     In sequence, every second tube would have every second diameter and, as Halton's first sequence has base 2, friction
@@ -588,10 +588,10 @@ def _balanced_diameters(shares: FloatArray, diameters: Sequence[float]) -> list[
     and their squares over the tubes of each diameter stay minimal.
 
     Args:
-        shares: (n, 3) of friction, stiffness and drag, n a multiple of the number of diameters.
+        fractions: (n, 3) of friction, stiffness and drag, n a multiple of the number of diameters.
         diameters: [m].
     """
-    centred = np.hstack([shares, shares**2]) - np.repeat([1.0 / 2.0, 1.0 / 3.0], shares.shape[1])
+    centred = np.hstack([fractions, fractions**2]) - np.repeat([1.0 / 2.0, 1.0 / 3.0], fractions.shape[1])
     sums, assigned = np.zeros((len(diameters), centred.shape[1])), []
     for block in centred.reshape(-1, *sums.shape):
         _, tube_of = linear_sum_assignment(((sums[:, None] + block) ** 2).sum(axis=-1))

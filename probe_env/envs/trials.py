@@ -4,8 +4,6 @@ Probes are compared over a segment of tube that depends on the length of the hel
 with the longest guide. A longer guide inspects less beyond it, which reduces progress.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -117,7 +115,7 @@ SENSOR_START: Final = 2.5
 """Distance of the sensor from the entrance at the start of an insertion [m]."""
 SPACING: Final = 10.0
 """Approximate distance between sections [m]."""
-LEAST_SECTIONS: Final = 3
+MIN_SECTIONS: Final = 3
 
 
 class TubeSegment(NamedTuple):
@@ -144,16 +142,18 @@ def segment_of(config: TaskConfig) -> TubeSegment:
 
 @lru_cache
 def _segment(helix_length: float, lost_drive_from: float) -> TubeSegment:
-    shortest, longest, _ = RANGES["guide_length"]
-    end = helix_length - longest
-    least = longest + max(lost_drive_from - shortest, SENSOR_START + SPACING)  # so that every probe has a drive margin
-    if helix_length < least:
+    shortest, max_length, _ = RANGES["guide_length"]
+    end = helix_length - max_length
+    minimum = max_length + max(
+        lost_drive_from - shortest, SENSOR_START + SPACING
+    )  # so that every probe has a drive margin
+    if helix_length < minimum:
         raise ValueError(
             f"helix_length = {helix_length:g} m: designs are compared as far as the sensor reaches with a guide of"
-            f" {longest:g} m, and where drive may be lost (lost_drive_from = {lost_drive_from:g} m): it must be at"
-            f" least {least:g} m"
+            f" {max_length:g} m, and where drive may be lost (lost_drive_from = {lost_drive_from:g} m): it must be at"
+            f" least {minimum:g} m"
         )
-    count = max(round(end / SPACING), LEAST_SECTIONS)
+    count = max(round(end / SPACING), MIN_SECTIONS)
     positions = tuple(end * k / count for k in range(1, count + 1))
     middles = [0.5 * (one + other) for one, other in pairwise(positions)]
     edges = (SENSOR_START, *middles, end)
@@ -163,7 +163,7 @@ def _segment(helix_length: float, lost_drive_from: float) -> TubeSegment:
 
 DETECTION_KPIS: Final = ("a50_percent_wall", "a90_percent_wall", "length_with_snr_over_3_m", "noise_peak_to_peak_v")
 """Detection KPIs of whole insertions, see ``inspection.metrics``."""
-LEAST_SNR: Final = 1e-3
+MIN_SNR: Final = 1e-3
 """Lower bound of the signal-to-noise, so that its inverse is finite."""
 
 
@@ -313,7 +313,7 @@ def try_sections(
         meter, every = SnrEstimator(config.sensor, len(scenes), SAMPLE_PERIOD), np.arange(len(scenes))
         for second in np.split(window.radial, round(MEASURE / SPAN)):
             estimate = meter.update(every, second, speed.ravel())
-        noise = np.asarray(1.0 / np.maximum(estimate.snr, LEAST_SNR)).reshape(shape)
+        noise = np.asarray(1.0 / np.maximum(estimate.snr, MIN_SNR)).reshape(shape)
     deep = drive_counts(config, inserted) & ~diverged
     return Trial(widths, speed, air.reshape(shape), rms, tension, deep, failed, noise=noise)
 
@@ -366,11 +366,7 @@ def try_insertions(
     fidelity: Fidelity | str = "fast",
     threads: int | None = None,
 ) -> Trial:
-    """N whole insertions, averaged per metre of the sensor's position; arguments as in ``try_sections``.
-
-    Raises:
-        ValueError: the feed is a schedule, not a policy with SB3's ``predict``.
-    """
+    """N whole insertions, averaged per metre of the sensor's position; arguments as in ``try_sections``."""
     policies = []
     for candidate in candidates:
         if isinstance(candidate.feed, Schedule):
@@ -404,7 +400,7 @@ def try_insertions(
                 sums["seconds"][k, bin_] += config.period
                 sums["air"][k, bin_] += air[k] - air_before[k]
                 sums["square"][k, bin_] += travel * info["radial_rms_m"] ** 2
-                sums["noise"][k, bin_] += travel / max(info["snr"], LEAST_SNR) ** 2
+                sums["noise"][k, bin_] += travel / max(info["snr"], MIN_SNR) ** 2
                 sums["tension"][k, bin_] += info["tension_mean_n"]
                 sums["periods"][k, bin_] += 1.0
     travel, seconds = np.maximum(sums["travel"], 1e-12), np.maximum(sums["seconds"], 1e-12)

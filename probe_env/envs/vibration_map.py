@@ -100,12 +100,7 @@ class VibrationMap:
 
     @classmethod
     def load(cls, path: Path = STORED) -> VibrationMap:
-        """Read a stored map (plain arrays only, no pickles).
-
-        Raises:
-            FileNotFoundError: no such file.
-            FileError: not a map: other arrays, or shapes that do not match.
-        """
+        """Read a stored map (plain arrays only, no pickles)."""
         kinds = dict.fromkeys(("scene", "measure"), "U") | dict.fromkeys(SHAPES, "f")
         kinds |= {f"{part}{k}": "f" for part in ("weights", "biases") for k in range(3)}
         arrays = read_arrays(path, lambda name: kinds.get(name, ""))

@@ -1,7 +1,5 @@
 """Sensor channels X and Y of a run, from motion, flaws, supports and noise, and the calls of the matched filter."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -46,14 +44,14 @@ class Recording:
         return float(self.time[1] - self.time[0])
 
 
-def channel_shares(sensor: Sensor, direction: float) -> FloatArray:
+def channel_fractions(sensor: Sensor, direction: float) -> FloatArray:
     """(2,) components in X and Y of a signal at an angle ``direction`` from the radial direction [rad]."""
     return np.array([math.cos(direction - sensor.angle), math.sin(direction - sensor.angle)])
 
 
 def along_flaw(sensor: Sensor, voltages: FloatArray) -> FloatArray:
     """(k,) component of the channels (k, 2) in the direction of the flaw, in which calls are made."""
-    return np.asarray(voltages @ channel_shares(sensor, sensor.flaw_angle))
+    return np.asarray(voltages @ channel_fractions(sensor, sensor.flaw_angle))
 
 
 def _pulses(position: FloatArray, centres: Iterable[float], amplitudes: Iterable[float], width: float) -> FloatArray:
@@ -85,11 +83,11 @@ def channels(
 ) -> FloatArray:
     """(k, 2) voltages X and Y of a run [V], means subtracted; bore and positions of supports in m."""
     moved = motion.radial - motion.radial.mean()
-    voltages = sensor.gain * np.outer(moved, channel_shares(sensor, 0.0))
+    voltages = sensor.gain * np.outer(moved, channel_fractions(sensor, 0.0))
     voltages += sensor.square_gain * ((moved / (0.5 * bore)) ** 2)[:, None]
     amplitudes = [float(sensor.amplitude(flaw.depth)) for flaw in flaws]
     signal = _pulses(motion.position, [flaw.position for flaw in flaws], amplitudes, sensor.flaw_width)
-    voltages += np.outer(signal, channel_shares(sensor, sensor.flaw_angle))
+    voltages += np.outer(signal, channel_fractions(sensor, sensor.flaw_angle))
     voltages += support_signal(sensor, motion.position, supports)[:, None]
     deviation = math.sqrt(0.5 * sensor.noise_density / motion.sample_period)
     voltages += deviation * rng.normal(size=voltages.shape)

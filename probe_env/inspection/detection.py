@@ -4,8 +4,6 @@ A flaw is called where the filtered signal, in standard deviations of its noise,
 POD(a | position) = Phi(SNR(a) - z); otherwise the observed distribution of the motion is used.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Final
 
@@ -21,7 +19,7 @@ DEPTHS: Final = np.geomspace(0.02, 1.0, 21)
 EDGES: Final = np.linspace(-16.0, 16.0, 129)
 """Bin edges of the histogram of excursions."""
 MIDDLES: Final = 0.5 * (EDGES[1:] + EDGES[:-1])
-LEAST_GAUSSIAN: Final = 1e-3
+MIN_GAUSSIAN: Final = 1e-3
 """Least fraction of Gaussian electronic noise in the filtered noise; it makes the curves smooth."""
 SMALLEST: Final = 1e-9
 """Least probability, and least distance from 1, of a POD curve in interpolation."""
@@ -49,21 +47,21 @@ def pod_gaussian(snr: FloatArray, z: float) -> FloatArray:
     return np.asarray(ndtr(np.asarray(snr) - z))
 
 
-def pod_empirical(snr: FloatArray, z: float, share: FloatArray, counts: FloatArray) -> FloatArray:
+def pod_empirical(snr: FloatArray, z: float, fraction: FloatArray, counts: FloatArray) -> FloatArray:
     """(n, d) POD with the observed distribution of the filtered motion.
 
-    ``share`` (n,) is the fraction of the noise variance that is motion, ``counts`` (len(MIDDLES),) its histogram.
+    ``fraction`` (n,) is the fraction of the noise variance that is motion, ``counts`` (len(MIDDLES),) its histogram.
     """
     filled = counts > 0
     weights, motion = counts[filled] / counts.sum(), MIDDLES[filled]
-    share = np.clip(share, 0.0, 1.0 - LEAST_GAUSSIAN)[:, None]
+    fraction = np.clip(fraction, 0.0, 1.0 - MIN_GAUSSIAN)[:, None]
     values = np.zeros_like(snr)
     for weight, excursion in zip(weights, motion, strict=True):
-        values += weight * ndtr((snr - z + np.sqrt(share) * excursion) / np.sqrt(1.0 - share))
+        values += weight * ndtr((snr - z + np.sqrt(fraction) * excursion) / np.sqrt(1.0 - fraction))
     return values
 
 
-def threshold_empirical(z: float, lengths: FloatArray, share: FloatArray, counts: FloatArray) -> float:
+def threshold_empirical(z: float, lengths: FloatArray, fraction: FloatArray, counts: FloatArray) -> float:
     """Threshold that the observed noise exceeds over the same share of the length as Gaussian noise exceeds ``z``.
 
     It is never below ``z``, because one tube has few excursions. ``lengths`` (n,) are those of the intervals [m]; the
@@ -72,7 +70,7 @@ def threshold_empirical(z: float, lengths: FloatArray, share: FloatArray, counts
     weights = lengths / lengths.sum()
 
     def above(level: float) -> float:
-        exceeded = pod_empirical(np.zeros((len(share), 1)), level, share, counts)[:, 0]
+        exceeded = pod_empirical(np.zeros((len(fraction), 1)), level, fraction, counts)[:, 0]
         return float((weights * exceeded).sum() / ndtr(-z) - 1.0)
 
     return z if above(z) <= 0.0 else float(brentq(above, z, EDGES[-1] + 2.0 * z, xtol=1e-3))
@@ -87,8 +85,8 @@ def depths_found(pod: FloatArray, level: float, depths: FloatArray = DEPTHS) -> 
     after = np.clip((probit < 0.0).sum(axis=1), 1, len(depths) - 1)
     rows = np.arange(len(pod))
     low, high = probit[rows, after - 1], probit[rows, after]
-    share = np.clip(-low / np.where(high > low, high - low, 1.0), 0.0, 1.0)
-    interpolated = depths[after - 1] + share * (depths[after] - depths[after - 1])
+    fraction = np.clip(-low / np.where(high > low, high - low, 1.0), 0.0, 1.0)
+    interpolated = depths[after - 1] + fraction * (depths[after] - depths[after - 1])
     return np.asarray(np.where(probit[:, -1] < 0.0, WORST, interpolated))
 
 

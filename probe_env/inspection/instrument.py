@@ -1,7 +1,5 @@
 """The eddy-current instrument and the procedure, table ``[instrument]``: the highest speed at which they inspect."""
 
-from __future__ import annotations
-
 import math
 from typing import Annotated, Final, Self
 
@@ -11,7 +9,7 @@ from probe_env.settings import Model, quantity
 
 FLAW_BAND: Final = 2.0
 """Upper end of a flaw's band in units of u/w, speed over width; see ``Instrument.speeds``."""
-CARRIER_SHARE: Final = 0.25
+CARRIER_FRACTION: Final = 0.25
 """Greatest bandwidth of a demodulated signal as a share of the test frequency; see ``Instrument.speeds``."""
 
 
@@ -60,7 +58,7 @@ class Instrument(Model):
         speeds = {
             "sample_rate": self.sample_rate and self.samples_per_mm and self.sample_rate / (1e3 * self.samples_per_mm),
             "bandwidth": self.bandwidth and self.bandwidth * per_hertz,
-            "test_frequency": self.test_frequency and CARRIER_SHARE * self.test_frequency * per_hertz,
+            "test_frequency": self.test_frequency and CARRIER_FRACTION * self.test_frequency * per_hertz,
             "highest_speed": self.highest_speed,
         }
         return {name: speed for name, speed in speeds.items() if speed is not None}

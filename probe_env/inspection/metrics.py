@@ -5,8 +5,6 @@ half of the tube's false calls for each pass. When feed and air are reversed, th
 segment has its own threshold, so that its vibration raises no threshold elsewhere.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final, Literal
@@ -32,7 +30,7 @@ GOOD: Final = 3.0
 """Signal-to-noise ratio of the 20 % groove above which length counts as well inspected."""
 SUSPECT: Final = 1e-3
 """Probability below which excursions count as not Gaussian (test of D'Agostino and Pearson)."""
-LEAST_TESTED: Final = 20
+MIN_TESTED: Final = 20
 MIDDLE: Final = slice(3 * COUNT // 8, 5 * COUNT // 8)
 """Part of the last second in the histogram: the filter wraps around at the ends."""
 POD_NAMES: Final = tuple(f"pod_at_{100.0 * depth:.3g}_percent_wall" for depth in DEPTHS)
@@ -47,7 +45,7 @@ class DetectionMetrics:
         sensor: constants of the sensor.
         lengths: of the intervals [m].
         snr: signal-to-noise ratios of the 20 % groove.
-        shares: fractions of the noise variance that are motion.
+        fractions: fractions of the noise variance that are motion.
         peaks: peak-to-peak motion signals [V].
         samples: one excursion of each interval, for the test of normality.
         counts: histogram of excursions between ``EDGES``.
@@ -56,7 +54,7 @@ class DetectionMetrics:
     sensor: Sensor = field(default_factory=Sensor)
     lengths: list[float] = field(default_factory=list)
     snr: list[float] = field(default_factory=list)
-    shares: list[float] = field(default_factory=list)
+    fractions: list[float] = field(default_factory=list)
     peaks: list[float] = field(default_factory=list)
     samples: list[float] = field(default_factory=list)
     counts: FloatArray = field(default_factory=lambda: np.zeros(len(EDGES) - 1))
@@ -65,7 +63,7 @@ class DetectionMetrics:
         """Add a control period: length inspected [m] and filtered signal of one probe."""
         self.lengths.append(length)
         self.snr.append(float(signal.snr))
-        self.shares.append(float(signal.share))
+        self.fractions.append(float(signal.fraction))
         self.peaks.append(float(signal.peak_to_peak))
         counted = signal.excursions[MIDDLE]
         self.samples.append(float(counted[len(counted) // 2]))
@@ -75,7 +73,7 @@ class DetectionMetrics:
     @property
     def gaussian(self) -> bool:
         """Whether the filtered motion, one sample per period, passes the test of normality."""
-        if len(self.samples) < LEAST_TESTED or np.ptp(self.samples) == 0.0:
+        if len(self.samples) < MIN_TESTED or np.ptp(self.samples) == 0.0:
             return True
         return bool(normaltest(self.samples).pvalue >= SUSPECT)
 
@@ -84,12 +82,12 @@ class DetectionMetrics:
         z, lengths = threshold(self.sensor, tube_length), np.array(self.lengths)
         if self.gaussian or lengths.sum() <= 0.0:
             return z
-        return threshold_empirical(z, lengths, np.array(self.shares), self.counts)
+        return threshold_empirical(z, lengths, np.array(self.fractions), self.counts)
 
     def pod(self, z: float) -> FloatArray:
         """(n, d) POD of the intervals at ``DEPTHS``, for a threshold z."""
         snr = snr_at(self.sensor, np.array(self.snr))
-        return pod_gaussian(snr, z) if self.gaussian else pod_empirical(snr, z, np.array(self.shares), self.counts)
+        return pod_gaussian(snr, z) if self.gaussian else pod_empirical(snr, z, np.array(self.fractions), self.counts)
 
     def kpis(self, length: float, tube_length: float) -> dict[str, Any]:
         """Figures by name; ``length`` is all that was to be inspected [m], depths are in % of the wall.
@@ -143,8 +141,8 @@ class RoundTripMetrics:
     """Detection metrics of a round trip; ``scored_pass`` is the pass that counts, or "best" for both."""
 
     def __init__(self, sensor: Sensor, scored_pass: Literal["insertion", "withdrawal", "best"]) -> None:
-        share = 0.5 if scored_pass == "best" else 1.0
-        self._sensor = sensor.model_copy(update={"false_calls": share * sensor.false_calls})
+        fraction = 0.5 if scored_pass == "best" else 1.0
+        self._sensor = sensor.model_copy(update={"false_calls": fraction * sensor.false_calls})
         self.segments: Final = {segment: DetectionMetrics(self._sensor) for segment in SEGMENTS[scored_pass]}
         self._ends: Final[dict[Segment, list[tuple[float, float]]]] = {segment: [] for segment in self.segments}
 

@@ -7,8 +7,6 @@ The flaw shape g(x) is the derivative of a Gaussian with extremes -1 and 1 at x 
 |G(v)|^2 = e/(2 pi) v^2 exp(-v^2) peaks at v = 1: at feed speed u, the signal of a flaw of width w is around f = u/w.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Annotated, Final, Self
 

@@ -27,7 +27,7 @@ STEP: Final = 5e-3
 """Sample period of the spectra [s]: up to 100 Hz; at 0.4 m/s the flaw's band ends at 60 Hz."""
 COUNT: Final = round(SPAN / STEP)
 TAPERS: Final = 4
-NEWEST_SHARE: Final = 1.0 - math.exp(-0.5)
+NEWEST_FRACTION: Final = 1.0 - math.exp(-0.5)
 """Weight of the last second in the mean of spectra: an exponential mean over 2 s at one spectrum per second. Equal
 at all control periods and time-lapses, because it determines how far a burst exceeds the noise it is part of."""
 FREQUENCY: Final = np.arange(1, COUNT // 2) / SPAN
@@ -48,13 +48,13 @@ def retained_weight(elapsed: float) -> float:
     """Weight r of the old mean when a spectrum is added after ``elapsed`` [s] of motion.
 
     Spectra overlap: the share 1 - j elapsed / SPAN of the j-th last spectrum belongs to the last second. r solves
-    (1 - r) sum over j >= 0 of r^j (1 - j elapsed / SPAN) = ``NEWEST_SHARE``; the left side falls with r from 1 to 0.
+    (1 - r) sum over j >= 0 of r^j (1 - j elapsed / SPAN) = ``NEWEST_FRACTION``; the left side falls with r from 1 to 0.
     """
     if elapsed >= SPAN:
-        return 1.0 - NEWEST_SHARE
+        return 1.0 - NEWEST_FRACTION
     j = np.arange(math.ceil(SPAN / elapsed))
-    shares = 1.0 - j * elapsed / SPAN
-    return float(brentq(lambda r: (1.0 - r) * (r**j * shares).sum() - NEWEST_SHARE, 0.0, 1.0, xtol=1e-14))
+    fractions = 1.0 - j * elapsed / SPAN
+    return float(brentq(lambda r: (1.0 - r) * (r**j * fractions).sum() - NEWEST_FRACTION, 0.0, 1.0, xtol=1e-14))
 
 
 @lru_cache
@@ -109,7 +109,7 @@ class FilteredSignal(NamedTuple):
     """Result of the matched filter for N probes in one period; for one probe without the first axis."""
 
     snr: FloatArray  # (N,) signal-to-noise ratio of the 20 % groove
-    share: FloatArray  # (N,) fraction of the filtered noise variance that is due to motion
+    fraction: FloatArray  # (N,) fraction of the filtered noise variance that is due to motion
     peak_to_peak: FloatArray  # (N,) of the motion signal [V]
     excursions: FloatArray  # (N, COUNT) filtered motion in expected standard deviations
 

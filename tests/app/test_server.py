@@ -159,7 +159,7 @@ def test_only_shown_reports_are_served_in_a_sandbox(app, get, tmp_path):
 
 
 def test_the_number_of_pages_is_bounded(server, get, monkeypatch):
-    monkeypatch.setattr("probe_agents.app.server.MOST_PAGES", 1)
+    monkeypatch.setattr("probe_agents.app.server.MAX_PAGES", 1)
     assert [get(path).code for path in ("/", "/", PATHS[2], SCRIPT)] == [200, 503, 503, 200]
     assert len(server.get_sessions("/")) == 1
 

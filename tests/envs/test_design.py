@@ -249,8 +249,8 @@ def test_the_probe_is_observed_as_its_point_in_the_design_space():
     env = gym.make("probe_env/Insertion-v1", probes="random", config=config)
     observation, info = env.reset(seed=0)
     names = list(config.observations)
-    shares = Design(**{name: info["probe"][name] for name in RANGES}).to_unit()
-    assert observation[[names.index(name) for name in RANGES]] == pytest.approx(shares, abs=1e-6)
+    fractions = Design(**{name: info["probe"][name] for name in RANGES}).to_unit()
+    assert observation[[names.index(name) for name in RANGES]] == pytest.approx(fractions, abs=1e-6)
     assert (
         observation[: -len(RANGES)]
         == gym.make("probe_env/Insertion-v1", probes="random", config={"settle_time": 0.1}).reset(seed=0)[0]

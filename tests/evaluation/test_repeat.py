@@ -14,6 +14,7 @@ from probe_agents.evaluation.profiles import downloads
 from probe_agents.evaluation.repeat import (
     CASE,
     INTERVAL,
+    fraction_to_repeat,
     instrument_kpis,
     intervals_to_repeat,
     is_judged,
@@ -22,7 +23,6 @@ from probe_agents.evaluation.repeat import (
     repeat_overview,
     repeat_schedule,
     segments_of,
-    share_to_repeat,
     verdict_of,
     verdict_text,
 )
@@ -164,7 +164,7 @@ def test_an_overview_has_few_rows():
 
 def test_shares_of_the_insertions():
     lists = [pd.DataFrame(rows, columns=INTERVAL) for rows in ([(6.0, 10.0, "noise")], [(9.0, 11.0, "speed")], [])]
-    assert share_to_repeat(lists, np.array([0.0, 5.0, 10.0, 15.0])) == pytest.approx([0.0, 2.0 / 3.0, 1.0 / 3.0])
+    assert fraction_to_repeat(lists, np.array([0.0, 5.0, 10.0, 15.0])) == pytest.approx([0.0, 2.0 / 3.0, 1.0 / 3.0])
 
 
 def driven(schedule, config, begin, end, start):
@@ -225,8 +225,8 @@ def test_a_repeated_pass_is_quiet_where_it_was_loud():
 
 def test_repeated_pass_has_max_air_after_lost_drive():
     schedule = scheduled(insertion(last=42.0), CONFIG, Context(), complete=False, lost_drive=True)
-    most = CONFIG.air_supply_rates[1]
-    assert schedule.at([30.0, 40.6, 59.0])[1] == pytest.approx([0.02, most, most])
+    maximum = CONFIG.air_supply_rates[1]
+    assert schedule.at([30.0, 40.6, 59.0])[1] == pytest.approx([0.02, maximum, maximum])
 
 
 @pytest.fixture

@@ -31,10 +31,10 @@ from probe_env.schedule import Schedule
 MINE = Schedule("time", "linear", (0.0, 0.2), (0.15, 0.3), (0.02, 0.03))
 
 
-def table_of(times, shares, rewards, tubes=20, scatter=0.0):
+def table_of(times, fractions, rewards, tubes=20, scatter=0.0):
     """Policies on the same tubes, whose differences scatter by so much of what they are."""
     rng, rows = np.random.default_rng(3), []
-    columns = {"inspection_time_s": times, "share_within_limit": shares, "reward": rewards}
+    columns = {"inspection_time_s": times, "share_within_limit": fractions, "reward": rewards}
     for policy in times:
         for context in range(tubes):
             values = {name: value[policy] * (1.0 + scatter * rng.normal()) for name, value in columns.items()}
@@ -43,7 +43,7 @@ def table_of(times, shares, rewards, tubes=20, scatter=0.0):
     return pd.DataFrame(rows)
 
 
-TIMES, SHARES, REWARDS = {"mine": 361.0, "best": 300.0}, {"mine": 0.9, "best": 0.9}, {"mine": 1.0, "best": 9.0}
+TIMES, FRACTIONS, REWARDS = {"mine": 361.0, "best": 300.0}, {"mine": 0.9, "best": 0.9}, {"mine": 1.0, "best": 9.0}
 
 
 def cells_of(comparison):
@@ -52,30 +52,30 @@ def cells_of(comparison):
 
 
 def test_comparison_with_the_best_other_policy():
-    one = compare_with_best(table_of(TIMES, SHARES | {"mine": 0.85}, REWARDS), "mine", ())
+    one = compare_with_best(table_of(TIMES, FRACTIONS | {"mine": 0.85}, REWARDS), "mine", ())
     assert (one.result, one.best, one.first) == ("worse than", "best", False)
     assert cells_of(one) == {
         "reward": ["1", "9", "-8"], "inspection time [s]": ["361", "300", "+61"],
         "length within the limit [%]": ["85", "90", "-5"], "complete": ["20 of 20", "20 of 20", ""],
     }  # fmt: skip
-    other = compare_with_best(table_of(TIMES, SHARES, REWARDS), "best", ())
+    other = compare_with_best(table_of(TIMES, FRACTIONS, REWARDS), "best", ())
     assert (other.result, other.best, other.first) == ("better than", "mine", True)
-    scattered = compare_with_best(table_of(TIMES, SHARES, REWARDS, scatter=0.01), "mine", ())
+    scattered = compare_with_best(table_of(TIMES, FRACTIONS, REWARDS, scatter=0.01), "mine", ())
     low, high = map(float, scattered.table[1][1].cells[2].below.split(" to "))
     assert low < 61.0 < high  # 20 differences of 4.7 s scatter: the mean is within 1.05 s (standard error)
-    same = table_of(TIMES | {"mine": 300.0}, SHARES, REWARDS | {"mine": 9.0}, scatter=0.05)
+    same = table_of(TIMES | {"mine": 300.0}, FRACTIONS, REWARDS | {"mine": 9.0}, scatter=0.05)
     for policy, first in ((ranking(same)[1], False), (ranking(same)[0], True)):
         assert compare_with_best(same, policy, ())[2:4] == ("no clear difference from", first)
-    oracle = table_of(TIMES | {"oracle": 200.0}, SHARES | {"oracle": 1.0}, REWARDS | {"oracle": 20.0})
+    oracle = table_of(TIMES | {"oracle": 200.0}, FRACTIONS | {"oracle": 1.0}, REWARDS | {"oracle": 20.0})
     assert [compare_with_best(oracle, name, {"oracle"}).best for name in ("best", "mine")] == ["mine", "best"]
 
 
 def test_comparison_with_failures_one_tube_or_no_other_policy():
-    table = table_of(TIMES, SHARES, REWARDS)
+    table = table_of(TIMES, FRACTIONS, REWARDS)
     table.loc[[0, 1], ["complete", "lost_drive"]] = 0.0, 1.0
     assert cells_of(compare_with_best(table, "mine", ()))["complete"] == ["18 of 20", "20 of 20", ""]
     for tubes in (1, 4):
-        one = compare_with_best(table_of(TIMES, SHARES, REWARDS, tubes=tubes, scatter=0.05), "mine", ())
+        one = compare_with_best(table_of(TIMES, FRACTIONS, REWARDS, tubes=tubes, scatter=0.05), "mine", ())
         assert bool(one.table[1][0].cells[2].below) == (tubes > 1)
     alone = compare_with_best(table[table["policy"] == "best"], "best", ())
     assert (alone.best, cells_of(alone)["reward"]) == ("", ["9"])
@@ -240,7 +240,7 @@ def test_traces_are_what_was_fed(evaluated, monkeypatch):
     assert {policy["name"]: policy["shown"] for policy in drawn["policies"]} == {"feed 0": True, "feed 1": False}
     for policy in drawn["policies"]:
         assert policy["tubes"][0][2] == [100, 200, 300, 400]  # of 0.1 um
-    monkeypatch.setattr(profiles, "MOST_METRES", 20)  # of 24
+    monkeypatch.setattr(profiles, "MAX_METRES", 20)  # of 24
     coarse = profiles.traces(table, grouped(metres), [], None)
     assert coarse["metres"] == [1.0, 3.0, 5.0]  # pairs from 0 on
     assert coarse["policies"][0]["tubes"][0][2] == [100, 255, 400]  # root mean square of 200 and 300

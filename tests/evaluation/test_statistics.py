@@ -21,12 +21,12 @@ from probe_agents.evaluation.statistics import (
     comparison_lines,
     depths_of,
     endings,
+    fraction_of_lead,
     grouped,
     has_curves,
     mean_interval,
     paired_difference,
     ratio_interval,
-    share_of_lead,
     strain_lines,
     summarise,
 )
@@ -49,8 +49,8 @@ def test_intervals_cover_the_truth_as_often_as_they_say(seeds):
         interval = mean_interval(rng.normal(3.0, 2.0, size=30))
         assert interval.low < interval.mean < interval.high
         hits += interval.low <= 3.0 <= interval.high
-    least, most = hits_within(200, 0.931, 0.951)
-    assert least <= hits <= most
+    minimum, maximum = hits_within(200, 0.931, 0.951)
+    assert minimum <= hits <= maximum
 
 
 @pytest.mark.processor
@@ -68,8 +68,8 @@ def test_ratio_intervals_cover_and_equal_the_normal_ones(seeds):
         half = 1.96 * ratio * np.sqrt(np.var(first) / 24 / 1.44 + np.var(second) / 24)
         assert high - low == pytest.approx(2.0 * half, rel=6.0 * 0.018)  # 80 times a chance of 2e-9, and some skewness
         covered += low <= 1.2 <= high
-    least, most = hits_within(trials, 0.92, 0.96)
-    assert least <= covered <= most
+    minimum, maximum = hits_within(trials, 0.92, 0.96)
+    assert minimum <= covered <= maximum
 
 
 @pytest.mark.parametrize("count", [3, 6])
@@ -127,11 +127,11 @@ def test_the_share_of_the_planners_lead():
         for name, values in rewards.items() for k, value in enumerate(values)
     ]  # fmt: skip
     table = pd.DataFrame(rows)
-    assert share_of_lead(table, "mine").mean == pytest.approx(4.5 / 9.0)
+    assert fraction_of_lead(table, "mine").mean == pytest.approx(4.5 / 9.0)
     assert any("over best-schedule 50 [" in line for line in comparison_lines(table, "best-schedule"))
-    assert share_of_lead(table[table["context"] == 0], "mine").text(100.0) == "50"
+    assert fraction_of_lead(table[table["context"] == 0], "mine").text(100.0) == "50"
     with pytest.raises(ValueError, match="same contexts"):
-        share_of_lead(table[(table["policy"] != "mine") | (table["context"] > 0)], "mine")
+        fraction_of_lead(table[(table["policy"] != "mine") | (table["context"] > 0)], "mine")
 
 
 def test_summary_endings_and_training_seeds():
@@ -253,16 +253,16 @@ def test_bundle_hours_of_two_tubes_in_closed_form(tubes):
 def test_hours_and_second_passes_of_equal_times():
     """Shares as in Brown, Cai and DasGupta 2001 (Jeffreys, n = 10); one simulated tube has a share but no interval."""
     times, flags = np.full(10, 360.0), np.arange(10) < 1
-    hours, share, added = bundle_hours(times, flags, 500)
+    hours, fraction, added = bundle_hours(times, flags, 500)
     assert astuple(hours) == pytest.approx((50.0, 50.0, 50.0))
-    assert astuple(share) == pytest.approx((0.1, 0.011, 0.381), abs=5e-4)
+    assert astuple(fraction) == pytest.approx((0.1, 0.011, 0.381), abs=5e-4)
     low, high = betabinom.ppf((0.025, 0.975), 500, 1.5, 9.5) * 0.1
     assert added.mean == pytest.approx(5.0)
     assert (added.low, added.high) == pytest.approx((low, high), rel=0.25)  # 0.6 and 19 h; 5 standard errors of 2000
     ends = [astuple(bundle_hours(times, np.full(10, again), 500)[1]) for again in (False, True)]
     assert ends == [pytest.approx((0.0, 0.0, 0.217), abs=5e-4), pytest.approx((1.0, 0.783, 1.0), abs=5e-4)]
-    hours, share, added = bundle_hours(times[:1], flags[:1], 500)
-    assert (hours.text(), share.mean, added.text()) == ("50", 1.0, "50")
+    hours, fraction, added = bundle_hours(times[:1], flags[:1], 500)
+    assert (hours.text(), fraction.mean, added.text()) == ("50", 1.0, "50")
 
 
 def test_a_bundle_has_a_row_for_each_policy():

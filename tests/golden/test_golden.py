@@ -57,7 +57,7 @@ ENDS = re.compile(r"terminated$|truncated$|done$|reward$|inserted_length$")
 SUFFIXES = {".csv", ".parquet", ".json", ".npz", ".st"}
 LEFT_OUT = {"noise_gaussian"}  # whether a p-value is above its limit, from noise that is chaotic
 NUDGES = 8
-LEAST, MOST = 1e-6, 0.5
+MIN_BOUND, MAX_BOUND = 1e-6, 0.5
 """Bounds: of float32 observations that are rounded otherwise; and above which a column is left out."""
 Columns = dict[str, list[float | str]]
 
@@ -122,7 +122,7 @@ def bound(spread: float) -> float:
     Below 1e-4 a deviation still grows exponentially, so its logarithm scatters: a hundredfold. Above, it is of the size
     of the motion's own scatter, which does not grow any more but has long tails: tenfold, and at least 5 %.
     """
-    return max(LEAST, 100.0 * spread if spread < 1e-4 else max(0.05, 10.0 * spread))
+    return max(MIN_BOUND, 100.0 * spread if spread < 1e-4 else max(0.05, 10.0 * spread))
 
 
 @pytest.mark.processor
@@ -163,7 +163,7 @@ def write_expected() -> None:
         stored[name] = {
             column: [float(f"{bounds[column]:.1g}"), *cells]
             for column, cells in runs[0].items()
-            if bounds[column] < MOST
+            if bounds[column] < MAX_BOUND
         }
         print(f"{name}: {len(stored[name])} of {len(bounds)} columns are compared")
     EXPECTED.write_text(json.dumps(stored, separators=(",", ":")).replace("},", "},\n").replace("],", "],\n") + "\n")

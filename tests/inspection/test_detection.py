@@ -59,9 +59,9 @@ def test_gaussian_excursions_give_the_gaussian_curve():
     counts = np.diff(norm.cdf(EDGES)) * 1e9
     z = threshold(SENSOR, 60.0)
     snr = snr_at(SENSOR, np.array([2.0, 4.0, 12.0]))
-    share = np.array([0.0, 0.5, 0.9])
+    fraction = np.array([0.0, 0.5, 0.9])
     steepest = norm.pdf(1.0) * 0.5 * 0.25**2 / 12.0  # of a change of variance: phi'(x) / 2, the most at x = 1
-    assert pod_empirical(snr, z, share, counts) == pytest.approx(pod_gaussian(snr, z), abs=2.0 * steepest)
+    assert pod_empirical(snr, z, fraction, counts) == pytest.approx(pod_gaussian(snr, z), abs=2.0 * steepest)
 
 
 def test_spiky_excursions_hide_flaws():
@@ -69,13 +69,13 @@ def test_spiky_excursions_hide_flaws():
     counts = np.zeros(len(MIDDLES))
     counts[np.abs(MIDDLES - 0.125) < 0.01] = 48.0
     counts[np.abs(np.abs(MIDDLES) - 4.875) < 0.01] = 1.0  # one of each sign
-    share, snr, z, draws = 0.8, 6.0, 4.585, 200_000
-    predicted = float(pod_empirical(np.array([[snr]]), z, np.array([share]), counts)[0, 0])
+    fraction, snr, z, draws = 0.8, 6.0, 4.585, 200_000
+    predicted = float(pod_empirical(np.array([[snr]]), z, np.array([fraction]), counts)[0, 0])
     rng = np.random.default_rng(0)
     spikes = rng.choice(MIDDLES, size=draws, p=counts / counts.sum())
-    hits = int((snr + np.sqrt(share) * spikes + np.sqrt(1.0 - share) * rng.normal(size=draws) > z).sum())
-    least, most = hits_within(draws, predicted, predicted)
-    assert least <= hits <= most
+    hits = int((snr + np.sqrt(fraction) * spikes + np.sqrt(1.0 - fraction) * rng.normal(size=draws) > z).sum())
+    minimum, maximum = hits_within(draws, predicted, predicted)
+    assert minimum <= hits <= maximum
     assert predicted < float(pod_gaussian(np.array(snr), z)) + 0.06
 
 

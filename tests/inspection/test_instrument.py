@@ -9,7 +9,7 @@ from scipy.integrate import quad
 from scipy.signal import butter, freqs
 
 from probe_env import Plant, TaskConfig
-from probe_env.inspection.instrument import CARRIER_SHARE, FLAW_BAND, Instrument
+from probe_env.inspection.instrument import CARRIER_FRACTION, FLAW_BAND, Instrument
 from probe_env.inspection.sensor import ENERGY, power
 
 
@@ -37,7 +37,7 @@ def test_a_filter_at_the_end_of_the_band_keeps_the_flaw():
 
 def test_a_second_order_filter_leaves_two_percent_of_the_image():
     """Demodulation of the sidebands f +- B leaves an image at 2 f - B, seven times the bandwidth."""
-    image = 2.0 / CARRIER_SHARE - 1.0
+    image = 2.0 / CARRIER_FRACTION - 1.0
     assert abs(freqs(*butter(2, 1.0, analog=True), [image])[1][0]) == pytest.approx(1.0 / 49.0, rel=1e-3)
 
 

@@ -11,7 +11,7 @@ from probe_env.inspection.sensor import Sensor
 from probe_env.inspection.snr import (
     COUNT,
     FREQUENCY,
-    NEWEST_SHARE,
+    NEWEST_FRACTION,
     STEP,
     SnrEstimator,
     density,
@@ -180,11 +180,11 @@ def test_freedom_of_a_mean_of_spectra(passed, deviation, seeds):
 def test_last_second_has_its_fraction_of_the_mean(passed):
     """Weights of all spectra times their share of the last second; spectra without end fall off as exp(-t/m)."""
     r, j = retained_weight(passed), np.arange(round(40.0 / passed))
-    assert ((1.0 - r) * r**j * np.maximum(1.0 - j * passed, 0.0)).sum() == pytest.approx(NEWEST_SHARE, abs=1e-12)
+    assert ((1.0 - r) * r**j * np.maximum(1.0 - j * passed, 0.0)).sum() == pytest.approx(NEWEST_FRACTION, abs=1e-12)
     if passed == 0.005:
         m = -passed / np.log(r)
-        share = 1.0 - m * (1.0 - np.exp(-1.0 / m))
-        assert share == pytest.approx(NEWEST_SHARE, rel=passed)  # the error of the sum is of first order
+        fraction = 1.0 - m * (1.0 - np.exp(-1.0 / m))
+        assert fraction == pytest.approx(NEWEST_FRACTION, rel=passed)  # the error of the sum is of first order
 
 
 @pytest.mark.slow
@@ -199,15 +199,15 @@ def test_bursts_exceed_the_noise_equally_at_any_period(passed, mean, deviation, 
     rng, number, fade = np.random.default_rng(seeds(1)[0]), 400, np.exp(-STEP)
     drive, start = rng.normal(size=(2400, number)), fade * rng.normal(size=(1, number))
     drift = lfilter([np.sqrt(1.0 - fade**2)], [1.0, -fade], drive, axis=0, zi=start)[0]
-    motion, shares = 1e-4 * np.exp(0.5 * drift) * rng.normal(size=drift.shape), []
+    motion, fractions = 1e-4 * np.exp(0.5 * drift) * rng.normal(size=drift.shape), []
     for each in (1.0, passed):
         estimator, steps, excursions = SnrEstimator(Sensor(), number, STEP), round(each / STEP), []
         for begin in range(0, len(motion), steps):
             reading = estimator.update(np.arange(number), motion[begin : begin + steps], np.full(number, 0.2))
             if begin >= 800:
                 excursions.append(reading.excursions[:, 75:125])
-        shares.append((np.abs(excursions) > 3.0).mean())
-    assert np.log(shares[1] / shares[0]) == pytest.approx(mean, abs=of_another(deviation, 24, among=2))
+        fractions.append((np.abs(excursions) > 3.0).mean())
+    assert np.log(fractions[1] / fractions[0]) == pytest.approx(mean, abs=of_another(deviation, 24, among=2))
 
 
 def test_a_batch_equals_single_estimators():

@@ -15,8 +15,8 @@ HALF = threshold(Sensor(false_calls=0.5 * SENSOR.false_calls), 60.0)
 SILENT = np.zeros(COUNT)
 
 
-def signal(snr, share=0.0, peak_to_peak=0.5, excursions=SILENT):
-    return FilteredSignal(*map(np.asarray, (snr, share, peak_to_peak, excursions)))
+def signal(snr, fraction=0.0, peak_to_peak=0.5, excursions=SILENT):
+    return FilteredSignal(*map(np.asarray, (snr, fraction, peak_to_peak, excursions)))
 
 
 def pod(snr, z=HALF):

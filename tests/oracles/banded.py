@@ -3,8 +3,6 @@
 A reference for accuracy and speed of the TICM: equal equations and update, another solver.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -45,7 +45,7 @@ def dense_step(chain, B_a, B_v, inputs, h_a, h_v, d, v, axial_force):
         C = np.zeros((3, 3))
         C[0, 1] = 2 * chain.mass * omega_r * chain.curvature
         K = np.diag(support[j]).astype(float)
-        V = max(V_bar[j], -chain.most_pressure) * chain.couple_length
+        V = max(V_bar[j], -chain.max_pressure) * chain.couple_length
         K[2, 2] += V
         q = load[j].astype(float).copy()
         # V l (theta + x / r)^2 / 2 for the whole of it, but for V l theta^2 / 2, which is in K; x, theta as they were

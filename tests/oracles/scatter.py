@@ -64,6 +64,6 @@ def apart(first: np.ndarray, second: np.ndarray) -> float:
     return math.log(first.mean() / second.mean())
 
 
-def hits_within(trials: int, least: float, most: float, chance: float = CHANCE) -> tuple[int, int]:
+def hits_within(trials: int, minimum: float, maximum: float, chance: float = CHANCE) -> tuple[int, int]:
     """Fewest and most successes of trials with a probability between two bounds; ``chance``: error on each side."""
-    return int(binom.ppf(chance, trials, least)), int(binom.isf(chance, trials, most))
+    return int(binom.ppf(chance, trials, minimum)), int(binom.isf(chance, trials, maximum))

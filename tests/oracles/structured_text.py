@@ -4,8 +4,6 @@ It knows function blocks of REAL, INT and BOOL with assignments, IF ... ELSE, FO
 law uses. They are translated to Python, with every operation rounded to single precision as a PLC's REAL is.
 """
 
-from __future__ import annotations
-
 import re
 from typing import Any
 

@@ -4,8 +4,6 @@ The three unknown root forces follow from the free tip. Growing solutions domina
 accuracy on long or stiffly supported chains (Pestel and Leckie 1963); it is included for comparison.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numba import njit
 

@@ -142,7 +142,7 @@ SCENES = st.fixed_dictionaries(
     time_step=st.sampled_from([1e-5, 1e-4, 1e-3]),
 )
 def test_no_valid_scene_gives_nan_without_an_error(scene, method, time_step):
-    time_step = max(time_step, METHODS[method].least_step)
+    time_step = max(time_step, METHODS[method].min_step)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", StabilityWarning)
         simulator = Simulator(scene, method, time_step)

@@ -14,7 +14,7 @@ from probe_env import Scene, Simulator, SimulatorBatch
 from probe_env.physics.closed_forms.bare_chains import DrivenChain, run_chain, uniform_chain
 from probe_env.physics.methods import METHODS
 from probe_env.physics.methods.method import KernelArguments
-from probe_env.physics.model.chain import most_pressure
+from probe_env.physics.model.chain import max_pressure
 from probe_env.physics.model.drive import Drive
 from probe_env.physics.model.state import at_rest
 
@@ -128,7 +128,7 @@ def test_mean_friction_under_axial_vibration():
     force, at most 2 m (u^2 + v^2 / 2) / (q L).
     """
     target, feed, swing, frequency, lengths, segments = 1.0 / 3.0, 0.05, 0.1, 1.0, (2.0, 1.0, 0.5), 100
-    share = []
+    fraction = []
     for length in lengths:
         means = []
         for friction, amplitude in ((0.0, 0.0), (0.15, 0.0), (0.15, swing)):
@@ -144,11 +144,11 @@ def test_mean_friction_under_axial_vibration():
                 tension.append(run.tension[1:, 0].mean())
             means.append(np.mean(tension[segments:]))
         free, sliding, vibrating = means
-        share.append((free - vibrating) / (free - sliding))
-    short = (8.0 * share[2] - 6.0 * share[1] + share[0]) / 3.0  # quadratic in L, halved twice
+        fraction.append((free - vibrating) / (free - sliding))
+    short = (8.0 * fraction[2] - 6.0 * fraction[1] + fraction[0]) / 3.0  # quadratic in L, halved twice
     bound = 4.0 / math.pi * swing * math.cos(math.asin(feed / swing)) / 43.0
     bound += 2.0 * DENSITY * (feed**2 + swing**2 / 2.0) / free
-    print("vibration", share, short, bound)
+    print("vibration", fraction, short, bound)
     assert short == pytest.approx(target, abs=bound)
 
 
@@ -197,7 +197,7 @@ def test_strut_between_walls():
     assert finest == pytest.approx(line_contact, rel=errors[2])
     assert pressed_strut(20, 3.9)[1].sum() < 0.01 * contact.sum()  # not buckled: only its small side load
     # contact.cable limits the couple at the load of a hinged pitch: it keeps the cable in, without this force
-    limited = pressed_strut(20, 12.0, most_pressure=most_pressure(EI, HALF_SPAN / 20, 2.0 * HALF_SPAN))
+    limited = pressed_strut(20, 12.0, max_pressure=max_pressure(EI, HALF_SPAN / 20, 2.0 * HALF_SPAN))
     assert limited[1].sum() < 0.01 * target
 
 
@@ -247,9 +247,12 @@ def test_force_of_a_sudden_stop():
     )  # fmt: skip
     simulator = Simulator(scene, "newmark", 2.5e-5)
     run = simulator.advance(0.0, duration=0.08, sample_period=1e-4, points=("root",))
-    share = run.time / (2.0 * length / math.sqrt(EA / DENSITY))
+    fraction = run.time / (2.0 * length / math.sqrt(EA / DENSITY))
     force = run.tension[:, 0]
-    plateau, reversed_ = force[(share > 0.1) & (share < 0.9)].mean(), force[(share > 1.1) & (share < 1.9)].mean()
+    plateau, reversed_ = (
+        force[(fraction > 0.1) & (fraction < 0.9)].mean(),
+        force[(fraction > 1.1) & (fraction < 1.9)].mean(),
+    )
     print("stop", plateau / target, reversed_ / target)
     assert plateau == pytest.approx(target, rel=0.025 / length)
     assert reversed_ == pytest.approx(-target, rel=0.05)  # the front is wider after a round trip

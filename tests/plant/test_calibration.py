@@ -66,7 +66,7 @@ def test_the_prior_is_what_the_file_says():
     """All is open without a file; a number is known, but not as friction; figures become their quantiles."""
     expected = {"friction": FRICTION, "contact_stiffness": STIFFNESS, "damping_time": DAMPING}
     assert {name: PRIOR.ranges[name] for name in expected} == expected
-    assert PRIOR.ranges["drag_coefficient"] == pytest.approx([share * 0.44 for share in DRAG])
+    assert PRIOR.ranges["drag_coefficient"] == pytest.approx([fraction * 0.44 for fraction in DRAG])
     assert len(PRIOR.assumed) == 4
     middle = [sum(FRICTION) / 2.0, *(np.sqrt(low * high) for low, high in [*PRIOR.ranges.values()][1:])]
     np.testing.assert_allclose(PRIOR.values(np.zeros((1, 4)), 1)[0, 0], middle)
@@ -304,7 +304,7 @@ def test_the_shipped_log_is_calibrated(short, tmp_path, capsys):
     assert plant.bundle == Plant.from_toml("configs/tubes/example.toml").bundle is not None
 
 
-def test_a_tube_file_keeps_the_tables_and_replaces_the_calibration(tmp_path):
+def test_tube_file_keeps_tables_and_replaces_calibration(tmp_path):
     tube, other, posterior = tmp_path / "tube.toml", tmp_path / "new" / "mine.toml", tmp_path / "out/calibration.json"
     tube.write_text('# mine\nposterior = "old.json"\n\n[tube]\nhelix_length = 45.0  # m\n')
     new = "# mine\n[tube]\nhelix_length = 45.0  # m\n"

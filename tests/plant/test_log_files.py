@@ -565,13 +565,13 @@ def test_sizes_and_pipes(tmp_path, monkeypatch):
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(FileError, match="a pipe or a device"):
         read_log(tmp_path / "pipe")
-    monkeypatch.setattr("probe_agents.records.workbook.MOST_SHEET_ROWS", 3)
+    monkeypatch.setattr("probe_agents.records.workbook.MAX_SHEET_ROWS", 3)
     many = b"<row></row>" * 10
     for row in (many, many.replace(b"row", b"x:row")):
         path.write_bytes(with_part(b"</sheetData>", row + b"</sheetData>"))
         with pytest.raises(FileError, match=r"sheet2\.xml has more than 3 rows or texts"):
             read_log(path, sheet="Messung")
-    monkeypatch.setattr("probe_agents.records.reader.MOST_BYTES", 100)
+    monkeypatch.setattr("probe_agents.records.reader.MAX_BYTES", 100)
     with pytest.raises(FileError, match="bytes are more than the 100"):
         read_log(path)
 

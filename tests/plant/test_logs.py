@@ -141,8 +141,8 @@ def test_repairs_of_a_log_are_counted(tmp_path):
     log = read_log(path)
     repairs = log.repairs
     assert (repairs.rows, repairs.untimed, repairs.duplicates, repairs.missing) == (9, 1, 1, 2)
-    assert (repairs.gaps, repairs.longest_gap) == (1, 3.0)
-    assert (repairs.backward, repairs.most_backward) == (1, pytest.approx(0.005))
+    assert (repairs.gaps, repairs.max_gap) == (1, 3.0)
+    assert (repairs.backward, repairs.max_backward) == (1, pytest.approx(0.005))
     by_time = dict(zip(log.time, zip(log.inserted_length, log.air_supply_rate * 3600.0, strict=True), strict=True))
     assert by_time[1.0] == pytest.approx((5.11, 63.0))
     assert by_time[2.0] == pytest.approx((5.22, 64.5))

@@ -12,7 +12,7 @@ from probe_agents.plant.recommendation import (
     MARGIN,
     cheapest_path,
     expected_costs,
-    least_root_tension,
+    min_root_tension,
     optimal_schedule,
     outside_training,
     root_compression,
@@ -157,7 +157,7 @@ def test_air_is_safe_in_every_tube():
     load = buckling_load(CONFIG.scene.probe)
     for air, safe in ((air_back, True), (air_back + 1.0, False)):
         assert (max(root_compression(CONFIG, tube, air, speeds[0]) for tube in TRAIN.contexts) <= load / MARGIN) == safe
-    pulls = least_root_tension(CONFIG, TRAIN.contexts, np.array([air_in - 1.0, air_in]), speeds[1])
+    pulls = min_root_tension(CONFIG, TRAIN.contexts, np.array([air_in - 1.0, air_in]), speeds[1])
     assert pulls[0] < MARGIN * CONFIG.required_tension <= pulls[1]
     unseen = load_case(None, "test").contexts
     assert [k for k, tube in enumerate(unseen) if root_compression(CONFIG, tube, 130.0, 0.4) > load] == [29]

@@ -88,11 +88,11 @@ def test_the_target_is_met_in_simulations():
         assert row["time_s"] >= following["time_s"]
     assert result.limit / result.found.limit == pytest.approx(1.3)
     none = find_schedule(SEARCH, 3.0, lambda candidate: 1.3 * candidate.limit)
-    least = SEARCH.least()
+    minimum = SEARCH.minimum()
     assert none.found is None
-    assert none.limit == pytest.approx(1.3 * least.limit)
-    assert least.time <= SNR.config.time_limit
-    assert SEARCH.fastest(0.9 * least.limit) is None
+    assert none.limit == pytest.approx(1.3 * minimum.limit)
+    assert minimum.time <= SNR.config.time_limit
+    assert SEARCH.fastest(0.9 * minimum.limit) is None
 
 
 @pytest.mark.slow

@@ -142,12 +142,12 @@ def test_view_averages_and_logarithmic_feed():
 
 def test_agent_keeps_its_min_air():
     """Its air action spans from there to the task's most; a teacher's lower air becomes the least."""
-    least = 45.0 / 3600.0
-    view = View(least_air_supply_rate=least)
+    minimum = 45.0 / 3600.0
+    view = View(least_air_supply_rate=minimum)
     spread = np.column_stack([np.zeros(3), [-1.0, 0.0, 1.0]])
-    most = TASK.air_supply_rates[1]
+    maximum = TASK.air_supply_rates[1]
     blown = TASK.targets(view.env_actions(TASK, spread))[:, 1]
-    assert blown == pytest.approx([least, 0.5 * (least + most), most], rel=1e-6)
+    assert blown == pytest.approx([minimum, 0.5 * (minimum + maximum), maximum], rel=1e-6)
     actions = np.random.default_rng(0).uniform(-1.0, 1.0, (50, 2))
     assert view.agent_actions(TASK, view.env_actions(TASK, actions)) == pytest.approx(actions, abs=1e-4)
     assert view.agent_actions(TASK, np.array([[0.0, -1.0]]))[0, 1] == -1.0

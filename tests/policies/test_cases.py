@@ -11,7 +11,7 @@ from probe_agents.evaluation.plan import run_plan
 from probe_agents.evaluation.run import plan_of
 from probe_agents.policies.cases import load_case, map_of, read_case, with_probe
 from probe_agents.policies.catalogue import make_policy
-from probe_agents.policies.on_map import LEAST_AIR, best_schedule_for, knots, least_air
+from probe_agents.policies.on_map import MIN_AIR, best_schedule_for, knots, min_air
 from probe_agents.policies.policy import Domain, OutsideDomain, ranges_of
 from probe_env import Context, Plant, Scene
 from probe_env.envs.plants import map_file
@@ -49,13 +49,13 @@ def test_schedules_fit_the_helix_and_ranges_of_the_plant():
     schedule = best_schedule_for(Context(), config)
     assert knots(config)[-1] == 80.0 == schedule.position[-1]
     assert 0.05 <= min(schedule.feed_speed) <= max(schedule.feed_speed) <= 0.2
-    assert least_air(config) == LEAST_AIR <= min(schedule.air_supply_rate) <= max(schedule.air_supply_rate) <= 0.03
+    assert min_air(config) == MIN_AIR <= min(schedule.air_supply_rate) <= max(schedule.air_supply_rate) <= 0.03
     # of another bore the least air pulls alike, and stays in range
-    narrow = least_air(NARROW.configured())
-    assert narrow < LEAST_AIR
-    assert least_air(TaskConfig()) == LEAST_AIR
+    narrow = min_air(NARROW.configured())
+    assert narrow < MIN_AIR
+    assert min_air(TaskConfig()) == MIN_AIR
     strong = NARROW.model_copy(update={"air": {"air_supply_rates": (0.02, 0.03)}}).configured()
-    assert least_air(strong) == 0.02
+    assert min_air(strong) == 0.02
 
 
 @pytest.mark.parametrize("passes", ["in", "both"])
@@ -105,11 +105,11 @@ def test_an_agent_acts_the_same_in_wider_ranges():
     rows = rng.uniform(0.2, 0.8, (16, len(names))).astype(np.float32)
     columns = [names.index("previous_feed_action"), names.index("previous_air_action")]
     other = rows.copy()
-    for column, (low, high), (least, most) in zip(
+    for column, (low, high), (minimum, maximum) in zip(
         columns, (usual.feed_speeds, usual.air_supply_rates), ((0.01, 0.5), (0.005, 0.04)), strict=True
     ):
         value = low + 0.5 * (rows[:, column] + 1.0) * (high - low)
-        other[:, column] = 2.0 * (value - least) / (most - least) - 1.0
+        other[:, column] = 2.0 * (value - minimum) / (maximum - minimum) - 1.0
     acted, _ = make_policy("ppo", usual).predict(rows, deterministic=True)
     acted_wide, _ = make_policy("ppo", wide).predict(other, deterministic=True)
     # float32 observations differ by rounding, 1e-7 of an action of order one through weights of order ten

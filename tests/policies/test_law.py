@@ -1,9 +1,6 @@
 """A feedback law: what its table says between its rows, made for a plant, read from a file or refused."""
 
-from __future__ import annotations
-
 import json
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -33,14 +30,14 @@ GIVEN: dict[str, Any] = {
 }  # fmt: skip
 
 
-def written(folder: Path, given: dict[str, Any]) -> Path:
+def written(folder, given):
     """The file of a law."""
     path = folder / "law.json"
     path.write_text(json.dumps(given))
     return path
 
 
-def test_law_is_linear_between_frictions_and_lengths(tmp_path: Path) -> None:
+def test_law_is_linear_between_frictions_and_lengths(tmp_path):
     """Half-way in both is the mean of four; beyond its ends it is constant; the nearest diameter counts."""
     law = Law.read(written(tmp_path, GIVEN))
     at = np.array
@@ -49,7 +46,7 @@ def test_law_is_linear_between_frictions_and_lengths(tmp_path: Path) -> None:
     np.testing.assert_allclose(air, [0.025, 0.02, 0.03, 0.01])
 
 
-def test_invalid_laws_are_refused(tmp_path: Path) -> None:
+def test_invalid_laws_are_refused(tmp_path):
     failures = []
     for change, problem in (
         ({"friction": [0.2, 0.1]}, "friction must ascend"),
@@ -72,7 +69,7 @@ def test_invalid_laws_are_refused(tmp_path: Path) -> None:
     assert failures == []
 
 
-def test_its_rows_are_recommendations() -> None:
+def test_its_rows_are_recommendations():
     """A row is what is recommended for draws with its friction; the frictions reach around those of the draws."""
     config, response = Plant().configured(), stored_response()
     tubes = [Context(friction=mu) for mu in (0.13, 0.17)]
@@ -90,7 +87,7 @@ FLAT = {"inserted_length": (5.0, 60.0), "friction": (0.1, 0.2), "tables": (
 """0.3 m/s at a friction of 0.1, 0.1 m/s at 0.2."""
 
 
-def test_law_settles_on_the_friction_of_steady_sliding() -> None:
+def test_law_settles_on_the_friction_of_steady_sliding():
     """From the middle of its rows with its time constant: after 15 s 1 - 1/e of the way."""
     config = TaskConfig().full_observation
     law, memory = Law.model_validate(GIVEN | {"scene": Scene(), "ranges": {}} | FLAT), np.zeros((2, 1))
@@ -106,7 +103,7 @@ def test_law_settles_on_the_friction_of_steady_sliding() -> None:
 
 @pytest.mark.slow
 @pytest.mark.processor
-def test_law_feeds_by_the_friction_from_tension() -> None:
+def test_law_feeds_by_the_friction_from_tension():
     """In a slippery and in a rough tube the law ends near what its rows for these frictions say.
 
     The law is fed at 5 m by its middle row and has 60 s and more to learn; steady sliding tells friction within 10 %

@@ -1,7 +1,6 @@
 """Planners: what they try, what they expect of the rest, and that looking ahead leaves the episodes alone."""
 
 import copy
-from collections.abc import Callable, Sequence
 
 import numpy as np
 import pytest
@@ -23,9 +22,8 @@ from probe_agents.policies.planner import (
     reward_of_holding,
 )
 from probe_env import Context, Scene
-from probe_env.arrays import FloatArray
 from probe_env.envs.episodes import Episodes
-from probe_env.envs.task import ScoredPass, TaskConfig, uninspected_weight
+from probe_env.envs.task import TaskConfig, uninspected_weight
 from probe_env.envs.vibration_map import CONTEXT, expected_cost, stored_map
 from probe_env.fidelity import ROUND_TRIP_PRESETS, resolve_fidelity
 
@@ -35,7 +33,7 @@ LENGTH = 8.0
 """Of the helix in tests of both passes [m]."""
 
 
-def begun(config: TaskConfig, seeds: Sequence[int] = range(2)) -> Episodes:
+def begun(config, seeds=range(2)):
     """Episodes of these seeds, in both tubes in turn."""
     episodes, count = Episodes(len(seeds), config, threads=1, fidelity="fast"), len(seeds)
     rngs = {k: np.random.default_rng(seed) for k, seed in enumerate(seeds)}
@@ -43,9 +41,7 @@ def begun(config: TaskConfig, seeds: Sequence[int] = range(2)) -> Episodes:
     return episodes
 
 
-def running(
-    config: TaskConfig = CONFIG, periods: int = 4, feed: float = 0.3, seeds: Sequence[int] = range(2)
-) -> Episodes:
+def running(config=CONFIG, periods=4, feed=0.3, seeds=range(2)):
     """Episodes after some periods with a feed [m/s]."""
     episodes = begun(config, seeds)
     for _ in range(periods):
@@ -53,20 +49,20 @@ def running(
     return episodes
 
 
-def task(scored_pass: ScoredPass = "best", measure: str = "displacement", **changes: object) -> TaskConfig:
+def task(scored_pass="best", measure="displacement", **changes):
     """Both ways in a short helix."""
     scene = {"carrier_length": 2.5, "tube": {"helix_length": LENGTH}}
     return TaskConfig(passes="both", scored_pass=scored_pass, vibration_measure=measure, scene=scene, **changes)
 
 
-def test_candidates_of_the_planner_depend_on_time_only() -> None:
+def test_candidates_of_the_planner_depend_on_time_only():
     """In the devices' steps; of both passes the suggestion, and then every second draw, is the fastest feed."""
     config = task(feed_speed_step=0.01, air_supply_step=5.0 / 3600.0)
     held, mapped = np.array([[0.2, 0.02], [0.1, 0.03]]), np.array([[0.3, 0.025], [0.05, 0.01]])
     ranges = ((0.01, config.feed_speeds), (5 / 3600, config.air_supply_rates))
     for both in (False, True):
 
-        def drawn(rows: list[int], count: int, time: int = 3, both: bool = both) -> FloatArray:
+        def drawn(rows, count, time=3, both=both):
             if both:
                 return candidates_for_both_passes(held[rows], count, config, [0, time])
             return candidates_near(held[rows], mapped[rows], count, config, [0, time])
@@ -85,13 +81,13 @@ def test_candidates_of_the_planner_depend_on_time_only() -> None:
         assert not np.array_equal(drawn([0, 1], 41, 4), tried)
         np.testing.assert_array_equal(drawn([0, 1], 1)[:, 0], tried[:, 0])
     np.testing.assert_allclose(tried[:, 3::2, 0], 0.4)
-    least, most = config.air_supply_rates
-    for lowest in np.linspace(least, most, 5)[:-1]:  # 19 draws: each quarter is missed once in 240 sets
-        assert ((tried[0, 3::2, 1] >= lowest) & (tried[0, 3::2, 1] <= lowest + 0.25 * (most - least))).any()
+    minimum, maximum = config.air_supply_rates
+    for lowest in np.linspace(minimum, maximum, 5)[:-1]:  # 19 draws: each quarter is missed once in 240 sets
+        assert ((tried[0, 3::2, 1] >= lowest) & (tried[0, 3::2, 1] <= lowest + 0.25 * (maximum - minimum))).any()
     assert (np.abs(tried[0, 2::2, 0] / 0.2 - 1.0) < 0.5).all()
 
 
-def test_branch_does_not_change_the_episode() -> None:
+def test_branch_does_not_change_the_episode():
     """A plan is the same with and without company, and holds until the next one."""
     both = task()
     for planner, begin in (
@@ -110,7 +106,7 @@ def test_branch_does_not_change_the_episode() -> None:
         np.testing.assert_array_equal(steps[0].reward, steps[1].reward)
 
 
-def test_best_candidate_has_the_max_reward() -> None:
+def test_best_candidate_has_the_max_reward():
     """By playing every candidate on deep copies, with the map's rest from where each has come to."""
     planner, episodes = InsertionPlanner(CONFIG, candidates=4, periods=3), running()
     actions, states = planner.plan_actions(episodes, [0, 1], episodes.observation, [None, None])
@@ -126,7 +122,7 @@ def test_best_candidate_has_the_max_reward() -> None:
     assert [(state.feed, state.air) for state in states] == [tuple(row) for row in best.tolist()]
 
 
-def test_remaining_reward_at_the_end_and_after_lost_drive() -> None:
+def test_remaining_reward_at_the_end_and_after_lost_drive():
     planner, held = InsertionPlanner(CONFIG), np.tile([0.4, 0.03], (2, 1))
     short = running(TaskConfig(scene={"tube": {"helix_length": 10.0}}), periods=8, feed=0.4)
     assert (planner._rest(short, held) != 0.0).all()
@@ -139,7 +135,7 @@ def test_remaining_reward_at_the_end_and_after_lost_drive() -> None:
     assert (InsertionPlanner(CONFIG, rest="nothing")._rest(running(), held) == 0.0).all()
 
 
-def test_blur_and_other_tubes_change_the_copies_only() -> None:
+def test_blur_and_other_tubes_change_the_copies_only():
     episodes = running()
     state, scene = episodes.simulated().simulators[0].state.d.copy(), episodes.simulated().simulators[0].scene
     copies = episodes.branch([0, 0, 1])
@@ -157,7 +153,7 @@ def test_blur_and_other_tubes_change_the_copies_only() -> None:
     assert (episodes.context[0], episodes.simulated().simulators[0].scene) == (TUBES[0], scene)
 
 
-def test_a_planner_holds_to_the_permitted_speed() -> None:
+def test_a_planner_holds_to_the_permitted_speed():
     """100 Hz / 4 x 20 mm / 2 = 0.25 m/s; without an instrument the first metres are best at nearly full speed."""
     decided = []
     for instrument in (None, {"test_frequency": 100.0}):
@@ -169,7 +165,7 @@ def test_a_planner_holds_to_the_permitted_speed() -> None:
     assert decided[1].max() <= 0.25 + 1e-7
 
 
-def test_remaining_reward_is_that_of_the_best_schedule() -> None:
+def test_remaining_reward_is_that_of_the_best_schedule():
     tube, vibration = TUBES[0], stored_map()
     places = knots(CONFIG)
     schedule = best_schedule_for(tube, CONFIG, 0.0, vibration)
@@ -193,7 +189,7 @@ def test_remaining_reward_is_that_of_the_best_schedule() -> None:
 
 
 @pytest.mark.processor
-def test_an_estimated_tube_is_read_from_the_tension(seeds: Callable[[int], Sequence[int]]) -> None:
+def test_an_estimated_tube_is_read_from_the_tension(seeds):
     """By the closed form of steady sliding, through 2 % of noise of the load cell.
 
     Of 32 other episodes in each tube the friction was 0.0016 and 0.0007 too high and scattered by 0.0055 and 0.0047.
@@ -218,7 +214,7 @@ def test_an_estimated_tube_is_read_from_the_tension(seeds: Callable[[int], Seque
 
 @pytest.mark.slow
 @pytest.mark.processor
-def test_planner_beats_the_map(seeds: Callable[[int], Sequence[int]]) -> None:
+def test_planner_beats_the_map(seeds):
     """Eight runs of both. Of 16 others the planner gained 2.98 +- 1.11 over the map's policy, of 7.1 against 4.1.
 
     But for 1e-4 the mean of eight is not less by 2.52: a planner that gains nothing is noticed nine times in ten.
@@ -230,25 +226,25 @@ def test_planner_beats_the_map(seeds: Callable[[int], Sequence[int]]) -> None:
     }
     plan = Plan(policies, (TUBES[1],), tuple(seeds(runs)), config.full_observation, resolve_fidelity("fast"))
     rewards = run_plan(plan, None, progress=False).pivot(index="seed", columns="policy", values="reward")
-    least = gain - of_another(deviation, 16, members=runs)
-    assert (rewards["planner"] - rewards["by the map"]).mean() > least > 0.0
+    minimum = gain - of_another(deviation, 16, members=runs)
+    assert (rewards["planner"] - rewards["by the map"]).mean() > minimum > 0.0
 
 
 # ---- both passes ----
 
 
-def held(config: TaskConfig, feed: float, air: float) -> FloatArray:
+def held(config, feed, air):
     """Actions of both episodes."""
     return np.tile(config.action(feed, air), (2, 1))
 
 
-def rest(episodes: Episodes, feed: float = 0.4, air: float = 30.0 / 3600.0) -> FloatArray:
+def rest(episodes, feed=0.4, air=30.0 / 3600.0):
     """Worth with the same feed and air held in all episodes: by default the fastest and the least."""
     return remaining_reward_of_both_passes(episodes, np.tile([feed, air], (len(episodes), 1)))
 
 
 @pytest.mark.parametrize(("scored_pass", "measure"), [("best", "displacement"), ("withdrawal", "snr")])
-def test_copies_of_an_episode_do_as_it_does(scored_pass: ScoredPass, measure: str) -> None:
+def test_copies_of_an_episode_do_as_it_does(scored_pass, measure):
     """From the way in over the turn to the end: every observation, reward and ending, to the last bit."""
     config = task(scored_pass, measure, sensor_dropout=0.3, delay_periods=1)
     episodes = begun(config)
@@ -273,7 +269,7 @@ def test_copies_of_an_episode_do_as_it_does(scored_pass: ScoredPass, measure: st
 
 
 @pytest.mark.parametrize("scored_pass", ["best", pytest.param("withdrawal", marks=pytest.mark.slow)])
-def test_remaining_reward_bounds_every_episode(scored_pass: ScoredPass) -> None:
+def test_remaining_reward_bounds_every_episode(scored_pass):
     """At every period of inspections that are fast and quiet, and shaken by their feed."""
     config = task(scored_pass)
     rng = np.random.default_rng(5)
@@ -291,7 +287,7 @@ def test_remaining_reward_bounds_every_episode(scored_pass: ScoredPass) -> None:
             assert (to_come[0] > worth[0] - 0.6).all()
 
 
-def test_remaining_reward_of_both_passes() -> None:
+def test_remaining_reward_of_both_passes():
     config = task()
     episodes = begun(config)
     per_metre = config.time_weight / 0.4 + config.air_weight * config.air_supply_rates[0] / 0.4
@@ -311,7 +307,7 @@ def test_remaining_reward_of_both_passes() -> None:
     assert rest(hanging)[0] == pytest.approx(-uninspected_weight(config) * (left[0] + 3.0))
 
 
-def test_reward_of_holding_ends_with_the_episode() -> None:
+def test_reward_of_holding_ends_with_the_episode():
     """A copy that is back stays at what it earned; others go on."""
     config = task()
     episodes = begun(config)
@@ -326,7 +322,7 @@ def test_reward_of_holding_ends_with_the_episode() -> None:
 
 
 @pytest.mark.slow
-def test_a_planned_inspection_is_fast_and_comes_back() -> None:
+def test_a_planned_inspection_is_fast_and_comes_back():
     """It begins at 0.2 m/s, and of the 1.5 that lie between that and the best there is it finds all but a third.
 
     The third is more than ramps and turn take from a probe that is fed at full speed.
@@ -335,13 +331,13 @@ def test_a_planned_inspection_is_fast_and_comes_back() -> None:
     plan = Plan({"planner": make_policy("planner", config)}, TUBES, config=config, fidelity=ROUND_TRIP_PRESETS["fast"])
     table = run_plan(plan, None, threads=1)
     assert table["complete"].all()
-    most = rest(begun(config))[0]
+    maximum = rest(begun(config))[0]
     slow = 3.0 - 6.0 * (config.time_weight + config.air_weight * config.air_supply_rates[0]) / 0.2
-    assert (table["reward"] > slow + 2.0 / 3.0 * (most - slow)).all()
-    assert (table["reward"] <= most).all()
+    assert (table["reward"] > slow + 2.0 / 3.0 * (maximum - slow)).all()
+    assert (table["reward"] <= maximum).all()
 
 
-def test_planners_by_name_and_their_refusals() -> None:
+def test_planners_by_name_and_their_refusals():
     config = task()
     assert make_policy("planner-estimated", CONFIG).describe()["tube"] == "estimated"
     assert make_policy("planner", config).describe()["blur"] == 0.0

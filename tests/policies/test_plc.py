@@ -15,7 +15,7 @@ from probe_agents.policies.plc_law import (
     CREDIBLE,
     FRICTION,
     LOWERED,
-    MOST_TRIM,
+    MAX_TRIM,
     NOISE_AVERAGE,
     RAISED,
     Constants,
@@ -112,7 +112,7 @@ def test_trimmed_feed_follows_its_time_constant():
         assert (air == same_air).all()
         assert np.diff(np.log(by_trim / by_law)[settled:]) == pytest.approx(rate * CONFIG.period / TRIM.time)
     long = measured(1e-3, np.full(400, 40.0))
-    assert np.log(acted(trimmed, long)[0] / acted(law, long)[0]).min() == pytest.approx(-MOST_TRIM)
+    assert np.log(acted(trimmed, long)[0] / acted(law, long)[0]).min() == pytest.approx(-MAX_TRIM)
     at_aim = acted(PlcIntegral(CONFIG, trim=TRIM), measured(TRIM.aim, np.full(200, 40.0)))[0]
     assert at_aim[100:] == pytest.approx(at_aim[100], rel=1e-3)
     feed, air = acted(PlcIntegral(CONFIG, Constants(shift=0.0), TRIM), measured(1e-3, np.full(200, 5.0)))
@@ -129,14 +129,14 @@ def test_many_act_as_one():
     assert feed == pytest.approx([acted(law, tube)[0][-1] for tube in tubes])
 
 
-@pytest.mark.parametrize(("trim", "most_air"), [(None, 130.0), (TRIM, 130.0), (TRIM, 40.0)])
-def test_structured_text_does_what_the_policy_does(trim, most_air):
+@pytest.mark.parametrize(("trim", "max_air"), [(None, 130.0), (TRIM, 130.0), (TRIM, 40.0)])
+def test_structured_text_does_what_the_policy_does(trim, max_air):
     """Over an insertion's worth of measurements: the interpreter rounds every operation to a REAL's 24 bits.
 
     A law with no more than the least air never trims.
     """
     rng, count = np.random.default_rng(1), 400
-    config = CONFIG.model_copy(update={"air_supply_rates": (CONFIG.air_supply_rates[0], most_air / 3600.0)})
+    config = CONFIG.model_copy(update={"air_supply_rates": (CONFIG.air_supply_rates[0], max_air / 3600.0)})
     law = PlcProportional(config) if trim is None else PlcIntegral(config, trim=trim)
     block = FunctionBlock(structured_text(law.constants, PlantData.of(config), trim))
     plant = {"AIR_SPEED", "DRAG", "FLOAT_DIAMETER", "LEAST_FEED", "MOST_FEED", "LEAST_AIR", "MOST_AIR"}
@@ -158,8 +158,8 @@ def test_structured_text_does_what_the_policy_does(trim, most_air):
         if abs(float(outputs["Length"]) / float(outputs["Onset"]) - 1.0) > 1e-3:  # at the switch rounding decides
             np.testing.assert_allclose([outputs["Feed"], outputs["Air"]], [feed[0], air[0]], rtol=1e-3)
             strong += air[0] == CONFIG.air_supply_rates[1]
-    assert 50 < strong < 350 or most_air == 40.0  # both branches were run
-    assert (np.ptp(trims) > 0.05) == (trim is not None and most_air == 130.0)
+    assert 50 < strong < 350 or max_air == 40.0  # both branches were run
+    assert (np.ptp(trims) > 0.05) == (trim is not None and max_air == 130.0)
 
 
 def test_structured_text_and_table_of_the_law():

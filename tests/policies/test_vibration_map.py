@@ -111,9 +111,9 @@ def test_best_schedule_of_a_tube_has_the_min_cost():
     costs = expected_costs(tube, CONFIG)[0]
     feed, air = grid(CONFIG)
     for k in (3, 15):
-        least = costs[k].argmin()
+        minimum = costs[k].argmin()
         at_knot = schedules[1].at(knots(CONFIG)[k])
-        assert (float(at_knot[0]), float(at_knot[1])) == pytest.approx((feed[least], air[least]))
+        assert (float(at_knot[0]), float(at_knot[1])) == pytest.approx((feed[minimum], air[minimum]))
 
 
 def test_friction_is_found_from_the_tension():
@@ -153,10 +153,10 @@ def test_wander_is_constant_within_a_segment():
     assert ((feeds > 0.039) & (feeds < 0.401)).all()
 
 
-def settled(decades, tension_share=1.0, seconds=120, length=40.0):
+def settled(decades, tension_fraction=1.0, seconds=120, length=40.0):
     """Feed [m/s], air [m3/s] and memory of ``Adaptive`` with a probe so much louder than the map, at one length.
 
-    Feed and air follow what is asked for; the tension is that of friction 0.2, times ``tension_share``.
+    Feed and air follow what is asked for; the tension is that of friction 0.2, times ``tension_fraction``.
     """
     names, policy, tube = list(CONFIG.observations), Adaptive(CONFIG), Context(friction=0.2)
     values = np.array([[getattr(tube, name) for name in CONTEXT]])
@@ -170,7 +170,7 @@ def settled(decades, tension_share=1.0, seconds=120, length=40.0):
         row = np.zeros((1, len(names)), dtype=np.float32)
         shown = {
             "inserted_length": length / 60.0, "feed_speed": feed[0] / 0.4, "air_supply_rate": air[0] * 3600.0 / 130.0,
-            "rf_noise": expected + decades, "root_tension": tension_share * steady_root_tension(scene) / 20.0,
+            "rf_noise": expected + decades, "root_tension": tension_fraction * steady_root_tension(scene) / 20.0,
             "helix_diameter": tube.helix_diameter / 2.5,
         }  # fmt: skip
         for name, value in shown.items():
@@ -192,7 +192,7 @@ def test_adaptive_policy_finds_the_noise_level_of_its_probe():
     half = best_schedule_for(Context(friction=0.2), CONFIG, shift=0.4).at(40.0)
     assert louder[:2] == pytest.approx([float(part) for part in half], rel=0.1)
     # floats with a fifth of the drag: the air goes up until the root tension is 2 N
-    feed, air, _ = settled(-1.0, tension_share=0.2, length=20.0)
+    feed, air, _ = settled(-1.0, tension_fraction=0.2, length=20.0)
     scene = Scene(contact={"friction": 0.2}, carrier_length=17.5, feed_speed=feed, air_supply_rate=air)
     assert 0.2 * steady_root_tension(scene) > 1.9
     assert air > settled(-1.0, length=20.0)[1]

@@ -388,7 +388,7 @@ MAPS = BINARY | {
 
 
 def test_maps(tmp_path, monkeypatch):
-    monkeypatch.setattr("probe_env.files.MOST_BYTES", 1 << 24)  # a bomb of 32 MiB will do
+    monkeypatch.setattr("probe_env.files.MAX_BYTES", 1 << 24)  # a bomb of 32 MiB will do
     assert failures_of(shutil.copy(MAP, tmp_path / "map.npz"), MAPS, VibrationMap.load) == []
 
 

@@ -6,7 +6,7 @@ import pytest
 from oracles.scatter import apart, reach
 
 from probe_env import Fidelity, Scene, SimulatorBatch
-from probe_env.fidelity import MOST_TIME_LAPSE, PRESETS, choose_fidelity, measured_errors, outputs, resolve_fidelity
+from probe_env.fidelity import MAX_TIME_LAPSE, PRESETS, choose_fidelity, measured_errors, outputs, resolve_fidelity
 from probe_env.physics.methods import METHODS
 
 
@@ -67,7 +67,7 @@ def test_length_stiffness_and_outputs():
 
 def test_time_lapse_is_for_growing_probes():
     assert choose_fidelity(Scene(), 0.5).fidelity.time_lapse == 1.0
-    assert choose_fidelity(Scene(), 0.5, growing=True).fidelity.time_lapse == MOST_TIME_LAPSE
+    assert choose_fidelity(Scene(), 0.5, growing=True).fidelity.time_lapse == MAX_TIME_LAPSE
 
 
 def test_errors_of_the_choice():

@@ -29,7 +29,7 @@ def test_presets_have_nodes_if_the_scene_needs_them(name, needs):
     assert chosen.time_lapse == preset.time_lapse
     assert chosen.nodes_per_pitch == 8  # the converged mesh
     limit = chosen.method.stable_step(scene, chosen.nodes_per_pitch)
-    assert chosen.method.least_step <= chosen.time_step <= min(preset.time_step, limit)
+    assert chosen.method.min_step <= chosen.time_step <= min(preset.time_step, limit)
     assert resolve_fidelity(chosen, scene) == chosen
 
 

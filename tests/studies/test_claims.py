@@ -122,9 +122,9 @@ def test_the_amplitude_of_a_sine_is_found():
         window = get_window("hann", 2000)
         bins = np.arange(-2, 3) * 0.5
         lines = [abs(window @ np.exp(2j * np.pi * (hertz - peak - b) * PERIOD * np.arange(2000))) ** 2 for b in bins]
-        share = sum(lines) / (2000 * (window**2).sum())
-        assert share > 0.99
-        assert height == pytest.approx(amplitude * np.sqrt(share), rel=1e-3)  # its mirror at -f is left
+        fraction = sum(lines) / (2000 * (window**2).sum())
+        assert fraction > 0.99
+        assert height == pytest.approx(amplitude * np.sqrt(fraction), rel=1e-3)  # its mirror at -f is left
     signal = 1e-3 * np.sin(2.0 * np.pi * 9.0 * TIME) + 3e-3 * np.sin(2.0 * np.pi * 20.0 * TIME)
     peak, height = highest_peak(signal, PERIOD)
     assert peak == 20.0

@@ -1,9 +1,6 @@
 """The calibration response: simulated insertions are kept, and what is learnt from them can be loaded."""
 
-from __future__ import annotations
-
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,13 +12,13 @@ SIZE = 4
 
 
 @pytest.fixture
-def small(monkeypatch: pytest.MonkeyPatch) -> None:
+def small(monkeypatch):
     """Four insertions a group, into tubes of 9 and 8 m, at fast; three epochs."""
     small = {
         "SIZE": SIZE,
         "LENGTHS": (9.0, 8.0),
         "FIDELITY": "fast",
-        "LEAST_METRES": 1,
+        "MIN_METRES": 1,
         "LAGS": 2,
         "EPOCHS": 3,
         "BATCH": 8,
@@ -31,9 +28,7 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.slow
-def test_groups_are_simulated_once_and_the_response_is_of_all(
-    small: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_groups_are_simulated_once_and_the_response_is_of_all(small, tmp_path, monkeypatch):
     made = response.run(tmp_path, limit=2)
     with np.load(tmp_path / "fast-001.npz") as bank:
         rows = {name: bank[name] for name in bank.files}

@@ -1,10 +1,7 @@
 """Searches of schedules, round trips and PLC constants: known optima are found, resuming, and what is stored."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,7 +12,6 @@ from probe_agents.plant.recommendation import safe_air
 from probe_agents.policies.cases import load_case
 from probe_agents.policies.catalogue import BY_DIAMETER, DATA, make_policy
 from probe_agents.policies.plc_law import PlcProportional, Trim, read_constants, read_trim
-from probe_agents.policies.wrappers import RoundTripPolicy
 from probe_agents.records.manifest import commit
 from probe_agents.studies import searches
 from probe_agents.studies.searches import (
@@ -46,13 +42,13 @@ Fake = Callable[[Callable[[Any], float]], list[str]]
 
 
 @pytest.fixture
-def simulate(monkeypatch: pytest.MonkeyPatch) -> Fake:
+def simulate(monkeypatch):
     """Replaces simulations by a reward of the policy plus the number of the tube; returns the folders used."""
 
-    def replace(reward: Callable[[Any], float]) -> list[str]:
+    def replace(reward):
         folders: list[str] = []
 
-        def run_plan(plan: Any, output: Path, **_: Any) -> pd.DataFrame:
+        def run_plan(plan, output, **_):
             folders.append(output.name)
             figures = {"inspection_time_s": 300.0, "a90_percent_wall": 20.0, "commit": SIMULATED_AT, "seed": 0}
             figures |= dict(zip(POD_NAMES, np.linspace(0.0, 1.0, len(POD_NAMES)), strict=True))
@@ -68,12 +64,12 @@ def simulate(monkeypatch: pytest.MonkeyPatch) -> Fake:
     return replace
 
 
-def commits_of(path: Path) -> list[str]:
+def commits_of(path):
     record = json.loads(path.read_text())
     return str(record.get("provenance", record)["commit"]).split(", ")
 
 
-def test_point_of_search_is_a_schedule() -> None:
+def test_point_of_search_is_a_schedule():
     low = FAMILIES["best-constant"].schedule([0.0, 0.0], CONFIG)
     assert (low.feed_speed[0], low.air_supply_rate[0]) == pytest.approx((0.04, 45.0 / 3600.0))
     high = FAMILIES["best-schedule"].schedule(
@@ -85,7 +81,7 @@ def test_point_of_search_is_a_schedule() -> None:
     assert high.air_supply_rate[-1] == pytest.approx(130.0 / 3600.0)
 
 
-def test_schedule_of_the_nearest_diameter_is_taken() -> None:
+def test_schedule_of_the_nearest_diameter_is_taken():
     policy = make_policy(BY_DIAMETER, CONFIG)
     names, observation = list(CONFIG.observations), np.zeros((len(HELIX_DIAMETERS), len(CONFIG.observations)))
     observation[:, names.index("helix_diameter")] = (np.array(HELIX_DIAMETERS) + 0.04) / 2.5
@@ -95,10 +91,10 @@ def test_schedule_of_the_nearest_diameter_is_taken() -> None:
     assert feed == pytest.approx(expected, rel=1e-4)
 
 
-def test_schedule_search_finds_a_known_optimum(simulate: Fake, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_schedule_search_finds_a_known_optimum(simulate, tmp_path, monkeypatch):
     """Reward -100 (u - 0.1)^2 - (3600 Q - 80)^2 / 1000: 0.1 m/s and 80 m3/h, by equal trials in each search."""
 
-    def reward(_: MapCost, schedule: Schedule) -> float:
+    def reward(_, schedule):
         return -100.0 * (schedule.feed_speed[0] - 0.1) ** 2 - (schedule.air_supply_rate[0] * 3600.0 - 80.0) ** 2 / 1e3
 
     monkeypatch.setattr(MapCost, "reward", reward)
@@ -115,9 +111,7 @@ def test_schedule_search_finds_a_known_optimum(simulate: Fake, tmp_path: Path, m
 
 
 @pytest.mark.parametrize("name", ["setting.json", "episodes.jsonl"])
-def test_damaged_episodes_are_refused_before_the_search(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_damaged_episodes_are_refused_before_the_search(name, tmp_path, monkeypatch):
     monkeypatch.setattr(MapCost, "reward", lambda *_: pytest.fail("a schedule was tried"))
     file = tmp_path / "simulated" / "best-constant" / name
     file.parent.mkdir(parents=True)
@@ -127,17 +121,17 @@ def test_damaged_episodes_are_refused_before_the_search(
     assert [path.name for path in file.parent.iterdir()] == [name]
 
 
-def test_shorter_search_begins_as_a_longer_one() -> None:
+def test_shorter_search_begins_as_a_longer_one():
     """So an interrupted search needs nothing of the first one to go on."""
 
-    def rewards_of(x: np.ndarray[Any, Any]) -> list[float]:
+    def rewards_of(x):
         return list(-((x[:, 0] - 0.3) ** 2) - x[:, 1] ** 2)
 
     both = [searches.search(rewards_of, (0.5, 0.5), generations, "test")[0] for generations in (3, 6)]
     assert (both[0] == both[1][:48]).all()
 
 
-def round_trip_reward(numbers: dict[str, float]) -> float:
+def round_trip_reward(numbers):
     """Zero at ``BEST``, 40 less over each range; feeds count by their logarithm, air by its range."""
     total = 0.0
     for name, (low, high) in SPACE.items():
@@ -148,14 +142,14 @@ def round_trip_reward(numbers: dict[str, float]) -> float:
     return total
 
 
-def numbers_of(policy: RoundTripPolicy) -> dict[str, float]:
+def numbers_of(policy):
     assert isinstance(policy.insertion, searches.Scheduled)
     passes = [schedule.at(20.0) for schedule in (policy.insertion.schedule, policy.withdrawal)]
     return dict(zip(COLUMNS, [v for feed, air in passes for v in (float(feed), 3600.0 * float(air))], strict=True))
 
 
 @pytest.mark.slow
-def test_round_trip_search_finds_a_known_optimum(simulate: Fake, tmp_path: Path) -> None:
+def test_round_trip_search_finds_a_known_optimum(simulate, tmp_path):
     """In 30 trials to within 0.2 of the maximum, where the reward falls by 40 over each range.
 
     Six other seeds of the process came to within 0.013; of 2,000 sets of 30 random points one in a hundred to 0.34.
@@ -178,7 +172,7 @@ def test_round_trip_search_finds_a_known_optimum(simulate: Fake, tmp_path: Path)
     assert policy.describe()["back"]["feed_speed"][0] == best[COLUMNS[2]]
 
 
-def test_longer_round_trip_search_repeats_the_shorter(simulate: Fake, tmp_path: Path) -> None:
+def test_longer_round_trip_search_repeats_the_shorter(simulate, tmp_path):
     folders = simulate(lambda policy: round_trip_reward(numbers_of(policy)))
     tables = []
     for trials in (7, 8):
@@ -188,7 +182,7 @@ def test_longer_round_trip_search_repeats_the_shorter(simulate: Fake, tmp_path: 
     assert folders.count("000") == 2
 
 
-def test_round_trip_file_has_both_passes(tmp_path: Path) -> None:
+def test_round_trip_file_has_both_passes(tmp_path):
     path = tmp_path / "both.csv"
     path.write_text(searches.round_trip_csv(RETURNS, BEST))
     insertion, withdrawal = Schedule.read(path), Schedule.read_withdrawal(path)
@@ -200,7 +194,7 @@ def test_round_trip_file_has_both_passes(tmp_path: Path) -> None:
         assert np.allclose(policy.withdrawal.at(length), withdrawal.at(length), rtol=1e-12)
 
 
-def test_round_trip_trials_suit_feed_device_and_supply() -> None:
+def test_round_trip_trials_suit_feed_device_and_supply():
     """Of a plant with steps, whose air is less than the study's; steps do not round air out of what is safe."""
     plant = Plant(
         tube=Tubes(inner_diameter=23e-3, helix_length=45.0),
@@ -226,7 +220,7 @@ def test_round_trip_trials_suit_feed_device_and_supply() -> None:
             assert rounded[COLUMNS[3]] <= safe_back
 
 
-def test_quasi_steady_reward_equals_that_of_the_map() -> None:
+def test_quasi_steady_reward_equals_that_of_the_map():
     """A fixed feed: the sum over seconds and that over the middles of metres, which the searches maximise."""
     tubes = (Context(friction=0.1, helix_diameter=2.5), Context(friction=0.25, helix_diameter=1.0))
     fixed = Schedule("inserted_length", "linear", (5.0, 60.0), (0.1, 0.1), (100.0 / 3600.0, 100.0 / 3600.0))
@@ -237,26 +231,24 @@ def test_quasi_steady_reward_equals_that_of_the_map() -> None:
     assert rewards[0] > rewards[1]
 
 
-def test_shipped_law_beats_best_schedule_on_the_map() -> None:
+def test_shipped_law_beats_best_schedule_on_the_map():
     tubes, policies = spread_contexts("train", 12), (PlcProportional(CONFIG), make_policy("best-schedule", CONFIG))
     law, schedule = (searches.quasi_steady_rewards(p, tubes, stored_map()).mean() for p in policies)  # type: ignore[arg-type]
     assert law > schedule + 5.0  # the map is deterministic
 
 
-def test_points_and_constants_are_inverses() -> None:
+def test_points_and_constants_are_inverses():
     rng = np.random.default_rng(0)
     for _ in range(20):
         x = rng.random(10)
         np.testing.assert_allclose(searches.point_of(searches.constants_at(x)), x, atol=2e-3)  # four digits are kept
 
 
-def test_law_search_goes_from_map_to_simulation(
-    simulate: Fake, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_law_search_goes_from_map_to_simulation(simulate, tmp_path, monkeypatch):
     """With rewards that are best at a known point."""
     goal = searches.constants_at(np.full(10, 0.4))
 
-    def reward(policy: Any) -> float:
+    def reward(policy):
         return -float(np.abs(searches.point_of(policy.constants) - 0.4).sum())
 
     monkeypatch.setattr(searches, "quasi_steady_rewards", lambda policy, *_: np.array([reward(policy)]))
@@ -270,8 +262,8 @@ def test_law_search_goes_from_map_to_simulation(
     assert commits_of(tmp_path / "plc-law.json") == [commit(), SIMULATED_AT]
 
 
-def test_trim_search_takes_the_best_with_its_gain(simulate: Fake, tmp_path: Path) -> None:
-    def reward(policy: Any) -> float:
+def test_trim_search_takes_the_best_with_its_gain(simulate, tmp_path):
+    def reward(policy):
         trim = getattr(policy, "trim", None)
         return (
             5.0 - abs(np.log(trim.aim / searches.AIMS[1])) - abs(np.log(trim.time / searches.TIMES[2])) if trim else 0.0

@@ -1,12 +1,8 @@
 """Studies: a file becomes settings with columns, runs resume, and rows are paired tube by tube."""
 
-from __future__ import annotations
-
 import inspect
-from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -23,7 +19,7 @@ from probe_agents.studies import readme
 from probe_agents.studies import run as runs
 from probe_agents.studies.builtin import BUILT_IN
 from probe_agents.studies.compare import _cell, baselines, compare, key_columns
-from probe_agents.studies.run import Setting, expand
+from probe_agents.studies.run import expand
 from probe_agents.studies.spec import Study
 from probe_env import load_contexts
 from probe_env.envs.task import TaskConfig
@@ -46,13 +42,13 @@ baseline = [{ policy = "constant" }, { "task.ramp" = 0.5 }]
 """
 
 
-def study_of(text: str, path: Path) -> Study:
+def study_of(text, path):
     path.write_text(text)
     return Study.from_toml(path)
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(tmp_path_factory):
     """The short study, run by the command with two workers."""
     folder = tmp_path_factory.mktemp("studies")
     (folder / "short.toml").write_text(SHORT)
@@ -60,7 +56,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_rows_are_episodes_of_an_evaluation(folder: Path) -> None:
+def test_rows_are_episodes_of_an_evaluation(folder):
     table = pd.read_csv(folder / "out" / "episodes.csv")
     assert list(table.columns[:6]) == ["policy", "policy.level", "fidelity", "task.ramp", "context", "seed"]
     rows = table[["policy", "policy.level", "task.ramp", "context"]].fillna(0.0).itertuples(index=False, name=None)
@@ -78,7 +74,7 @@ def test_rows_are_episodes_of_an_evaluation(folder: Path) -> None:
     assert (slower["radial_rms_m"] != table[table["task.ramp"] == 0.05].reset_index(drop=True)["radial_rms_m"]).any()
 
 
-def test_differences_are_paired_over_tubes(folder: Path) -> None:
+def test_differences_are_paired_over_tubes(folder):
     table, rows = (pd.read_csv(folder / "out" / name) for name in ("episodes.csv", "comparison.csv"))
     keys = ["policy", "policy.level", "task.ramp"]
     rewards = {key: part.set_index("context")["reward"] for key, part in table.fillna(0.0).groupby(keys)}
@@ -96,13 +92,13 @@ def test_differences_are_paired_over_tubes(folder: Path) -> None:
     assert (folder / "out" / "comparison.png").stat().st_size > 10_000
 
 
-def test_it_resumes(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_it_resumes(folder, monkeypatch, capsys):
     """Nothing is run again; with one more ramp only that is."""
     before = (folder / "out" / "comparison.csv").read_bytes()
-    played: list[int] = []
+    played = []
     play = plans._records
 
-    def counted(plan: Any, missing: Any, *rest: Any) -> Any:
+    def counted(plan, missing, *rest):
         played.append(len(missing))
         return play(plan, missing, *rest)
 
@@ -119,7 +115,7 @@ def test_it_resumes(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytes
     assert "ramp" in capsys.readouterr().out
 
 
-def test_bad_files_name_file_field_and_value(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_bad_files_name_file_field_and_value(tmp_path, capsys):
     """Before anything is run."""
     cases = {
         ('"task.ramp" = [', '"task.rampe" = ['): "rampe: there is no such field; accepted: scene, sensor",
@@ -156,7 +152,7 @@ def test_bad_files_name_file_field_and_value(tmp_path: Path, capsys: pytest.Capt
     assert not (tmp_path / "out").exists()
 
 
-def test_fields_change_what_they_say(tmp_path: Path) -> None:
+def test_fields_change_what_they_say(tmp_path):
     """Of task, scene, sensor, fidelity, probe and plant; columns are read back from what is simulated."""
     text = """
     question = "?"
@@ -188,7 +184,7 @@ def test_fields_change_what_they_say(tmp_path: Path) -> None:
     assert settings[0].plan.contexts == load_contexts("test")[:1]
 
 
-def test_surrogate_runs_and_refuses_what_its_map_lacks(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_surrogate_runs_and_refuses_what_its_map_lacks(tmp_path, capsys):
     """A setting that the map does not predict is refused before any other is run."""
     text = """
     question = "?"
@@ -213,7 +209,7 @@ def test_surrogate_runs_and_refuses_what_its_map_lacks(tmp_path: Path, capsys: p
     assert not (tmp_path / "none").exists()
 
 
-def test_sweep_has_one_policy_and_averages_training_seeds(tmp_path: Path) -> None:
+def test_sweep_has_one_policy_and_averages_training_seeds(tmp_path):
     text = """
     question = "?"
     policies = [
@@ -230,7 +226,7 @@ def test_sweep_has_one_policy_and_averages_training_seeds(tmp_path: Path) -> Non
     assert baselines(study, [setting]) == [{"policy": "planner", "policy.periods": 2, "policy.every": 2}]
 
 
-def episodes_of(settings: list[Setting], reward: Callable[[dict[str, Any], int], float]) -> pd.DataFrame:
+def episodes_of(settings, reward):
     """Made-up episodes in six tubes."""
     rows = []
     for setting in settings:
@@ -241,7 +237,7 @@ def episodes_of(settings: list[Setting], reward: Callable[[dict[str, Any], int],
     return pd.DataFrame(rows)
 
 
-def test_fraction_of_an_upper_bound_and_ranks(tmp_path: Path) -> None:
+def test_fraction_of_an_upper_bound_and_ranks(tmp_path):
     text = """
     question = "?"
     policies = ["planner", "best-schedule", "pi"]
@@ -257,10 +253,10 @@ def test_fraction_of_an_upper_bound_and_ranks(tmp_path: Path) -> None:
     table = episodes_of(settings, lambda row, tube: worth[row["policy"]] * (1.0 + row["task.ramp"]) + tube)
     compared = compare(study, settings, table)
     rows = {(row["policy"], row["task.ramp"]): row for row in compared.to_dict("records")}
-    for policy, share, rank in (("planner", 1.0, 1), ("best-schedule", 0.0, 3), ("pi", 0.25, 2)):
+    for policy, fraction, rank in (("planner", 1.0, 1), ("best-schedule", 0.0, 3), ("pi", 0.25, 2)):
         for ramp in (0.5, 0.1):
             row = rows[policy, ramp]
-            assert row["share_of_lead"] == pytest.approx(share)
+            assert row["share_of_lead"] == pytest.approx(fraction)
             assert row["rank"] == rank
             assert row["difference"] == pytest.approx((worth[policy] - 2.0) * (1.0 + ramp))
     labelled = table[table["task.ramp"] == 0.1]
@@ -272,7 +268,7 @@ def test_fraction_of_an_upper_bound_and_ranks(tmp_path: Path) -> None:
         compare(study, settings, table)
 
 
-def test_all_studies_that_ship_can_be_run(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_all_studies_that_ship_can_be_run(capsys, monkeypatch):
     """Every file expands, its baselines are rows, and the list has it with its question."""
     with_parameters = runs._with_parameters
     monkeypatch.setattr(runs, "_recommended", lambda name, config, plant: Constant(config))  # searched elsewhere
@@ -295,7 +291,7 @@ def test_all_studies_that_ship_can_be_run(capsys: pytest.CaptureFixture[str], mo
         assert {"output", "workers", *study_.options} == set(parameters)
 
 
-def test_options_take_the_place_of_the_file_s(tmp_path: Path) -> None:
+def test_options_take_the_place_of_the_file_s(tmp_path):
     study = study_of(SHORT, tmp_path / "short.toml")
     changed = study.changed(1, ("slow",), ("standard",), Path("example"))
     assert changed.policies == ("constant", "slow")  # what it compares with stays
@@ -305,7 +301,7 @@ def test_options_take_the_place_of_the_file_s(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_policies_of_a_plant_are_recommended_for_it(tmp_path: Path) -> None:
+def test_policies_of_a_plant_are_recommended_for_it(tmp_path):
     """``recommended`` differs between plants and is the same for the same plant."""
     text = """
     question = "?"
@@ -331,13 +327,13 @@ def test_policies_of_a_plant_are_recommended_for_it(tmp_path: Path) -> None:
         (0.0, np.nan, np.nan, "5"),
     ],
 )
-def test_cells_of_one_tube_and_of_the_baseline(difference: float, low: float, high: float, text: str) -> None:
+def test_cells_of_one_tube_and_of_the_baseline(difference, low, high, text):
     row = {"metric": "reward", "mean": 5.0, "difference": difference, "difference_low": low, "difference_high": high}
     assert _cell(row) == text
 
 
 @pytest.mark.slow
-def test_recipe_is_trained_and_tested(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_recipe_is_trained_and_tested(tmp_path, monkeypatch):
     monkeypatch.setitem(readme.STEPS, "surrogate", (2048, 4096))  # type: ignore[misc]
     table = readme.learn(tmp_path, limit=1, trials=1)
     assert table["policy"].tolist() == [*readme.RIVALS, "0 2048", "0 4096"]

@@ -1,7 +1,5 @@
 """Making vibration maps: of the noise in a flaw's band, and of a tube of your own."""
 
-from pathlib import Path
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -17,7 +15,7 @@ from probe_env.schedule import Schedule
 TUBES = 14
 
 
-def wandered(heard_before: float) -> pd.DataFrame:
+def wandered(heard_before):
     """Metres of wandering insertions whose noise is 0.1 mm times feed / (0.1 m/s), of the segment before at first.
 
     ``heard_before``: length [m] over which a segment hears the feed before it.
@@ -37,12 +35,12 @@ def wandered(heard_before: float) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def error(smeared: float) -> float:
+def error(smeared):
     """Mean absolute error [decades] of the map on the tubes that were left out."""
     return fit_map(wandered(smeared), scene=Scene(), measure="snr")[1]["mean_absolute_error_decades"]
 
 
-def test_start_of_each_segment_is_not_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_start_of_each_segment_is_not_fitted(monkeypatch):
     """Metres that hear another feed change nothing, not a digit; one metre more of them does."""
     monkeypatch.setattr(maker, "EPOCHS", 20)
     assert error(SMEARED["snr"]) == error(0.0)
@@ -50,7 +48,7 @@ def test_start_of_each_segment_is_not_fitted(monkeypatch: pytest.MonkeyPatch) ->
 
 
 @pytest.mark.slow
-def test_a_tube_of_your_own_has_its_map_and_schedules(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_tube_of_your_own_has_its_map_and_schedules(tmp_path, monkeypatch):
     """Of a helix of 7 m, by 16 insertions of two metres: the map lies beside the file, and the search takes it."""
     monkeypatch.setitem(maker.SPLIT_SIZES, "train", maker.HELD_OUT + 4)  # type: ignore[misc]
     file = tmp_path / "small.toml"

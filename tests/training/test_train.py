@@ -372,15 +372,15 @@ def test_both_passes_need_a_method_with_withdrawal():
     assert isinstance(make_policy("ppo", TaskConfig(passes="both").full_observation), RoundTripPolicy)
 
 
-def test_imitation_data_and_returns() -> None:
+def test_imitation_data_and_returns():
     """Two environments that count their steps; the second one ends with the second of three steps."""
     clock, ends = [0], np.array([[False, False], [False, True], [False, False]])
 
-    def step(_applied: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, None]:
+    def step(_applied):
         clock[0] += 1
         return observed(), np.array([1.0, 10.0]) * clock[0], ends[clock[0] - 1], None
 
-    def observed() -> np.ndarray:
+    def observed():
         return np.array([[clock[0], 0.0], [clock[0], 1.0]], dtype=np.float32)
 
     env = SimpleNamespace(num_envs=2, reset=observed, step=step, config=None, rows=None)

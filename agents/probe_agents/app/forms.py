@@ -1,7 +1,5 @@
 """Form of a tube file: fields with ranges, units and texts, and the file during editing."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import re

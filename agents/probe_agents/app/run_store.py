@@ -1,7 +1,5 @@
 """Stored runs of the app's folder: finished, interrupted, and how to resume them."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 from functools import lru_cache

@@ -1,7 +1,5 @@
 """Runs of the app: the request, the messages of the worker process, and the queue of runs."""
 
-from __future__ import annotations
-
 import os
 import shlex
 import subprocess

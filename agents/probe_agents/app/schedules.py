@@ -1,7 +1,5 @@
 """Schedules over inserted length: points to edit, prediction of the vibration map, and overlays."""
 
-from __future__ import annotations
-
 import tempfile
 import warnings
 from collections.abc import Callable, Mapping, Sequence

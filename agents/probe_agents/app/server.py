@@ -1,7 +1,5 @@
 """HTTP server on localhost; serves local files and makes no outgoing requests."""
 
-from __future__ import annotations
-
 import errno
 import gc
 import re
@@ -34,7 +32,7 @@ from probe_env.files import escaped
 
 HOSTS: Final = ("localhost", "127.0.0.1")
 LOGIN_URL: Final = "/login"
-MOST_PAGES: Final = 32
+MAX_PAGES: Final = 32
 """Most open pages; a closed one counts for half a minute."""
 REPORT_POLICY: Final = (
     "sandbox allow-scripts allow-downloads allow-popups; default-src 'none'; img-src data:;"
@@ -47,7 +45,7 @@ class Gate(Matcher):
     """Matches the requests to refuse, with status and reason.
 
     These are requests to another host name (DNS rebinding), by another site, and without the token, which is in the
-    printed address and then in a cookie; and pages beyond ``MOST_PAGES``.
+    printed address and then in a cookie; and pages beyond ``MAX_PAGES``.
     """
 
     def __init__(self, server: BaseServer, hosts: Collection[str], cookie: str, token: str) -> None:
@@ -72,8 +70,8 @@ class Gate(Matcher):
             token = request.query_arguments.get("token", [b""])[0]
         if not secrets.compare_digest(token, self.token.encode()):
             return 403, "Open the address that probe-env app has printed"
-        most = MOST_PAGES + (request.path == "/ws")  # the connection of the last page
-        if len(self.server.get_sessions("/")) >= most and not request.path.startswith(("/static/", REPORT_URL)):
+        maximum = MAX_PAGES + (request.path == "/ws")  # the connection of the last page
+        if len(self.server.get_sessions("/")) >= maximum and not request.path.startswith(("/static/", REPORT_URL)):
             return 503, "Too many pages are open: close some and wait half a minute"
         return None
 

@@ -1,7 +1,5 @@
 """State of the app: what all pages share, and one browser session (tube, schedule, runs)."""
 
-from __future__ import annotations
-
 import base64
 import hashlib
 from collections.abc import Sequence

@@ -3,8 +3,6 @@
 It ends when the pipe to the server closes; finished insertions are then stored.
 """
 
-from __future__ import annotations
-
 import gc
 import os
 import signal

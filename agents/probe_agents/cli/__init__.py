@@ -3,8 +3,6 @@
 The packages of the commands take seconds to load; they are loaded after the signal handlers are set.
 """
 
-from __future__ import annotations
-
 import os
 import sys
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Signal handlers: Ctrl-C, SIGTERM and SIGHUP end a command with one line about what is stored."""
 
-from __future__ import annotations
-
 import os
 import signal
 import sys

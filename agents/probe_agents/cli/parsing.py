@@ -1,7 +1,5 @@
 """Parses the arguments of a command with tyro; an error is one line."""
 
-from __future__ import annotations
-
 import ast
 import inspect
 import io

@@ -1,7 +1,5 @@
 """Commands log, calibrate, recommend, plc and app."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Names, modules and extras of the commands, and the first page of the help; imports no package, to be fast."""
 
-from __future__ import annotations
-
 import re
 from importlib.metadata import requires
 from typing import Final

@@ -1,7 +1,5 @@
 """Compares probe designs in the same tubes under one feed, with intervals and paired differences."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Final, Self

@@ -4,8 +4,6 @@ Trials are appended to a journal, and the sampler is seeded by the number of com
 continues to the same front.
 """
 
-from __future__ import annotations
-
 import sys
 import warnings
 from collections.abc import Callable, Mapping, Sequence

@@ -1,7 +1,5 @@
 """Trials of probe designs, and the search space and objectives of a search for designs."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections.abc import Sequence
@@ -17,7 +15,7 @@ from probe_agents.evaluation.workers import HERE, Workers
 from probe_agents.policies.cases import TABLE_2, EvaluationCase, PlantLabel
 from probe_agents.policies.catalogue import make_policy
 from probe_agents.policies.fixed import Scheduled
-from probe_agents.policies.on_map import least_air
+from probe_agents.policies.on_map import min_air
 from probe_agents.policies.policy import Policy
 from probe_agents.records.result_folder import ResultFolder
 from probe_env import Context, Design, Fidelity
@@ -171,7 +169,7 @@ class DesignProblem(DesignTrials):
         probe, config = ranges_in(self.config.scene), self.config
         if self.feed != "best-constant":
             return probe
-        air = (least_air(config), config.air_supply_rates[1], "m3/s")
+        air = (min_air(config), config.air_supply_rates[1], "m3/s")
         return probe | {"feed_speed": (*feeds(config), "m/s"), "air_supply_rate": air}
 
     @property
@@ -203,9 +201,9 @@ class DesignProblem(DesignTrials):
         """Feeds of the reference probes, clipped to the ranges of the task."""
         if self.feed != "best-constant":
             return [{}]
-        (slow, fast, _), (least, most, _) = (self.axes[name] for name in ("feed_speed", "air_supply_rate"))
+        (slow, fast, _), (minimum, maximum, _) = (self.axes[name] for name in ("feed_speed", "air_supply_rate"))
         pairs = ((u, q / 3600.0) for u in (0.08, 0.12, 0.2, 0.3) for q in (63.0, 110.0))
-        clipped = dict.fromkeys((min(max(u, slow), fast), min(max(q, least), most)) for u, q in pairs)
+        clipped = dict.fromkeys((min(max(u, slow), fast), min(max(q, minimum), maximum)) for u, q in pairs)
         return [{"feed_speed": u, "air_supply_rate": q} for u, q in clipped]
 
     def search_folder(self, path: Path, seed: int) -> ResultFolder:

@@ -1,7 +1,5 @@
 """Figures of evaluations."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +15,10 @@ def trade_off(summary: pd.DataFrame, path: Path) -> Path:
     figure, axis = plt.subplots(figsize=(9, 5), layout="constrained")
     rows: Any = summary.set_index(["policy", "kpi"])
     for policy, colour in policy_colours(summary["policy"]).items():
-        time, share = rows.loc[(policy, "inspection_time_s")], rows.loc[(policy, "share_within_limit")]
-        x, y = time["mean"], 100.0 * (1.0 - share["mean"])
+        time, fraction = rows.loc[(policy, "inspection_time_s")], rows.loc[(policy, "share_within_limit")]
+        x, y = time["mean"], 100.0 * (1.0 - fraction["mean"])
         across = [[x - time["low"]], [time["high"] - x]]
-        along = [[100.0 * (share["high"] - share["mean"])], [100.0 * (share["mean"] - share["low"])]]
+        along = [[100.0 * (fraction["high"] - fraction["mean"])], [100.0 * (fraction["mean"] - fraction["low"])]]
         axis.errorbar(x, y, xerr=across, yerr=along, fmt="o", capsize=3, color=colour, label=escape_dollars(policy))
     axis.set(xlabel="inspection time [s]", ylabel="length out of the limit [%]", ylim=(0.0, None))
     axis.grid(**GRID)

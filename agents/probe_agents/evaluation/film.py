@@ -1,7 +1,5 @@
 """Films of an episode, or of the motion near the tip in slow motion."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Sequence
 from pathlib import Path
@@ -26,7 +24,7 @@ from probe_env.physics.simulation.signals import SAMPLE_PERIOD, dominant_frequen
 from probe_env.settings import whole_steps, within
 
 FRAMES_PER_SECOND: Final = 10
-LONGEST: Final = 2.0
+MAX_DURATION: Final = 2.0
 """Maximum duration in slow motion [s]: 400 pictures."""
 FARTHEST: Final = 1000.0
 """Maximum distance behind the tip [m]."""
@@ -127,7 +125,7 @@ def render_strip(
     simulator = episode.episodes.simulated().simulators[0]  # before the reset
     start, end = simulator.inserted_length, simulator.scene.tube.helix_length
     within("length", length, simulator.scene.probe.guide_length, FARTHEST, "m")  # includes the sensor
-    within("duration", duration, FRAME_PERIOD, LONGEST, "s")
+    within("duration", duration, FRAME_PERIOD, MAX_DURATION, "s")
     whole_steps("duration", duration, SAMPLE_PERIOD)
     if not episode.episodes.config.growing:
         if at is not None:

@@ -4,8 +4,6 @@
 ``report.json`` the reference policy of the report and the bundle of tubes.
 """
 
-from __future__ import annotations
-
 import errno
 from collections import Counter
 from collections.abc import Mapping, Sequence

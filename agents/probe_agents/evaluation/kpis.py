@@ -1,7 +1,5 @@
 """The KPIs of episodes and designs: their columns, names and units."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from typing import Final
 

@@ -3,8 +3,6 @@
 An episode depends only on its policy, context and seed, so an interrupted evaluation continues to the same table.
 """
 
-from __future__ import annotations
-
 import hashlib
 import io
 import json
@@ -60,7 +58,7 @@ from probe_env.machine import available_cores
 
 BATCH: Final = 16
 """Number of episodes in a batch."""
-SECONDS_PER_METRE, MEAN_SHARE = 5.5, 0.6
+SECONDS_PER_METRE, MEAN_FRACTION = 5.5, 0.6
 """Of a usual insertion: time per metre [s/m], and mean inserted length over that of the helix."""
 FULL_LANES: Final = 0.35
 """Time of evaluations in full batches over that of the measured costs: 16 episodes at fast took 11 s of a core."""
@@ -231,7 +229,7 @@ def core_seconds(plan: Plan, policy: str) -> float:
     if isinstance(planner, ModelPredictivePolicy):
         planned = planner.candidates * planner.periods / planner.every
     motion = scene.tube.helix_length * SECONDS_PER_METRE / plan.fidelity.time_lapse
-    pitches = MEAN_SHARE * scene.tube.helix_length / scene.probe.float_pitch
+    pitches = MEAN_FRACTION * scene.tube.helix_length / scene.probe.float_pitch
     return FULL_LANES * (1.0 + planned) * float(np.median(costs or [0.0])) * pitches * motion
 
 

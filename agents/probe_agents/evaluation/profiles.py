@@ -1,7 +1,5 @@
 """Per-metre profiles in a report: interactive traces, and schedules for download."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Collection, Mapping
 from typing import Any, Final, NamedTuple
@@ -16,7 +14,7 @@ from probe_env.schedule import Schedule
 
 Description = Mapping[str, Any]
 """JSON-ready description of a policy."""
-MOST_METRES: Final = 60_000
+MAX_METRES: Final = 60_000
 """Number of points in all traces beyond which metres are averaged, to bound the size of the page."""
 MAX_ROWS: Final = 8
 """Rows of a schedule on the first page."""
@@ -41,7 +39,7 @@ def traces(
     first = profile[["policy", "context", "seed", "training_seed"]].drop_duplicates()
     first = first.sort_values(["training_seed", "seed"], kind="stable").drop_duplicates(["policy", "context"])
     metres = profile.merge(first).dropna(subset=["inserted_length"])
-    width = 1 + len(metres) // MOST_METRES
+    width = 1 + len(metres) // MAX_METRES
     binned = metres.assign(
         metre=(metres["inserted_length"] // width) * width + 0.5 * width, radial_rms_m=metres["radial_rms_m"] ** 2
     )

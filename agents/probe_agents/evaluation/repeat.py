@@ -1,7 +1,5 @@
 """Verdict on the speed of an inspection, and the metres to repeat: from metres of an evaluation or rows of a log."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -33,7 +31,7 @@ GRID: Final = 0.1
 """Spacing of the points of a repeated pass [m]."""
 BIN: Final = 5.0
 """Length of a bin of ``repeat_overview`` [m], or a multiple."""
-MOST_ROWS: Final = 8
+MAX_ROWS: Final = 8
 """Number of intervals in an overview or a sentence."""
 
 
@@ -303,12 +301,12 @@ def quiet_text(verdict: Verdict, limit: str, tubes: int = 1) -> str:
 
 
 def _where_text(intervals: Sequence[tuple[float, float]], tubes: int) -> str:
-    where = ", ".join(f"{begin:.1f} to {end:.1f}" for begin, end in intervals[:MOST_ROWS])
-    more = f" and {len(intervals) - MOST_ROWS} more" if len(intervals) > MOST_ROWS else ""
+    where = ", ".join(f"{begin:.1f} to {end:.1f}" for begin, end in intervals[:MAX_ROWS])
+    more = f" and {len(intervals) - MAX_ROWS} more" if len(intervals) > MAX_ROWS else ""
     return f"{'in some tube ' if tubes > 1 else ''}at {where} m{more}"
 
 
-def share_to_repeat(intervals: Sequence[pd.DataFrame], edges: FloatArray) -> FloatArray:
+def fraction_to_repeat(intervals: Sequence[pd.DataFrame], edges: FloatArray) -> FloatArray:
     """(n,) share of insertions in which some of a bin is to be repeated.
 
     Args:
@@ -321,7 +319,7 @@ def share_to_repeat(intervals: Sequence[pd.DataFrame], edges: FloatArray) -> Flo
 
 
 def repeat_overview(intervals: Sequence[pd.DataFrame], length: float) -> pd.DataFrame:
-    """What is to be repeated in some insertion, in at most ``MOST_ROWS`` rows with columns ``INTERVAL`` and "share".
+    """What is to be repeated in some insertion, in at most ``MAX_ROWS`` rows with columns ``INTERVAL`` and "share".
 
     The intervals of all insertions if they fit, else bins of ``BIN`` or a multiple of it; neighbours with the same
     reasons and share of the insertions are joined.
@@ -332,7 +330,7 @@ def repeat_overview(intervals: Sequence[pd.DataFrame], length: float) -> pd.Data
     """
     parts, width = pd.concat(list(intervals)), BIN
     rows = _overview_rows(intervals, np.unique(parts[INTERVAL[:2]].to_numpy(dtype=float)))
-    while len(rows) > MOST_ROWS:
+    while len(rows) > MAX_ROWS:
         rows = _overview_rows(intervals, np.append(np.arange(0.0, length - 1e-9, width), length))
         width *= 2.0
     return pd.DataFrame(rows, columns=[*INTERVAL, "share"])
@@ -341,14 +339,14 @@ def repeat_overview(intervals: Sequence[pd.DataFrame], length: float) -> pd.Data
 def _overview_rows(intervals: Sequence[pd.DataFrame], edges: FloatArray) -> list[tuple[float, float, str, float]]:
     parts = pd.concat(list(intervals))
     rows: list[tuple[float, float, str, float]] = []
-    shares = share_to_repeat(intervals, edges).tolist() if len(edges) else []
-    for begin, end, share in zip(edges[:-1].tolist(), edges[1:].tolist(), shares, strict=True):
+    fractions = fraction_to_repeat(intervals, edges).tolist() if len(edges) else []
+    for begin, end, fraction in zip(edges[:-1].tolist(), edges[1:].tolist(), fractions, strict=True):
         reasons = parts.loc[(parts["from_m"] < end) & (parts["to_m"] > begin), "reason"]
         reason = AND.join(name for name in REASONS if reasons.str.contains(name).any())
-        if rows and rows[-1][1:] == (begin, reason, share):
-            rows[-1] = rows[-1][0], end, reason, share
-        elif share > 0.0:
-            rows.append((begin, end, reason, share))
+        if rows and rows[-1][1:] == (begin, reason, fraction):
+            rows[-1] = rows[-1][0], end, reason, fraction
+        elif fraction > 0.0:
+            rows.append((begin, end, reason, fraction))
     return rows
 
 

@@ -72,7 +72,7 @@ ORACLES: Final = frozenset(["Planner", *(kind.__name__ for kind in (Privileged, 
 SCHEDULES: Final = (Scheduled.__name__, Replayed.__name__)
 FEW_TUBES: Final = 10
 """Number of tubes below which a bootstrap interval is rough."""
-MOST_DIAMETERS: Final = 12
+MAX_DIAMETERS: Final = 12
 """Number of helix diameters beyond which there is no table by diameter."""
 DRAWN_AT_FIRST: Final = 4
 """Policies whose traces are visible when the page opens."""
@@ -297,8 +297,8 @@ def first_page(done: Evaluation) -> FirstPage:
     best = [name for name in order if name not in oracle_policies(done)]
     policy = next(iter([*schedules, *done.user_policies, *best, *order]))
     table = done.table[done.table["policy"] == policy]
-    share = by_context(table, policy, "share_within_limit").mean()
-    loud = f"not quiet: vibration within {limit_of(task)} in {short(100.0 * share)} % of the length"
+    fraction = by_context(table, policy, "share_within_limit").mean()
+    loud = f"not quiet: vibration within {limit_of(task)} in {short(100.0 * fraction)} % of the length"
     quiet = f"quiet: vibration within {limit_of(task)} wherever it was inspected"
     below = table["share_within_limit"] < table.get("inspected_share", 1.0) - 1e-9
     sentences, to_repeat = [loud if below.any() else quiet], ""
@@ -315,8 +315,12 @@ def first_page(done: Evaluation) -> FirstPage:
         overview = repeat_overview([intervals for _, intervals in own], task.scene.tube.helix_length)
         header = ["from [m]", "to [m]", "reason", *["insertions [%]"] * (len(own) > 1)]
         rows = [
-            Row(f"{begin:.1f}", "", (Cell(f"{end:.1f}"), Cell(reason), Cell(f"{100.0 * share:.0f}"))[: len(header) - 1])
-            for begin, end, reason, share in overview.itertuples(index=False)
+            Row(
+                f"{begin:.1f}",
+                "",
+                (Cell(f"{end:.1f}"), Cell(reason), Cell(f"{100.0 * fraction:.0f}"))[: len(header) - 1],
+            )
+            for begin, end, reason, fraction in overview.itertuples(index=False)
         ]
     sentences[-1] += _not_complete(table, policy)
     hours = [texts for _, *texts in bundle_rows(bundle_table(table, done.bundle))]
@@ -367,9 +371,9 @@ def compare_with_best(table: pd.DataFrame, policy: str, oracles: Collection[str]
     return Comparison(policy, best, result, order[0] == policy, (["mean", *names, *["difference"] * bool(best)], rows))
 
 
-def _time_and_share(part: pd.DataFrame, policy: str) -> tuple[str, str]:
-    time, share = (by_context(part, policy, kpi).mean() for kpi in ("inspection_time_s", "share_within_limit"))
-    return f"{short(time)} s", f"{short(100.0 * share)} %"
+def _time_and_fraction(part: pd.DataFrame, policy: str) -> tuple[str, str]:
+    time, fraction = (by_context(part, policy, kpi).mean() for kpi in ("inspection_time_s", "share_within_limit"))
+    return f"{short(time)} s", f"{short(100.0 * fraction)} %"
 
 
 def _not_complete(table: pd.DataFrame, policy: str) -> str:
@@ -443,7 +447,7 @@ def ended(row: Mapping[str, int] | pd.Series) -> str:
 def by_diameter(table: pd.DataFrame, oracles: Collection[str]) -> Table:
     """Mean time and length within the limit: one row per policy, one column per helix diameter."""
     groups = list(table.groupby("helix_diameter"))
-    if len(groups) > MOST_DIAMETERS or table["helix_diameter"].min() <= 0.0:
+    if len(groups) > MAX_DIAMETERS or table["helix_diameter"].min() <= 0.0:
         return [], []
     counts = [(diameter, part["context"].nunique()) for diameter, part in groups]
     names = [f"{diameter:g} m ({count} tube{'s' if count > 1 else ''})" for diameter, count in counts]
@@ -466,8 +470,8 @@ def _best_marked(part: pd.DataFrame, oracles: Collection[str]) -> dict[str, Cell
     cells, ends, order = {}, dict(endings(part).iterrows()), ranking(part)
     best = next((name for name in order if name not in oracles), "")
     for policy in order:
-        time, share = _time_and_share(part, policy)
+        time, fraction = _time_and_fraction(part, policy)
         count, complete = ends[policy]["episodes"], ends[policy]["complete"]
         failed = f", {f'{count - complete} ' if count > 1 else ''}not complete" if complete < count else ""
-        cells[policy] = Cell(time, share + failed, policy == best)
+        cells[policy] = Cell(time, fraction + failed, policy == best)
     return cells

@@ -1,7 +1,5 @@
 """Evaluates policies on the same tubes: means, paired differences, tables and a report."""
 
-from __future__ import annotations
-
 import errno
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Sensor signals of an insertion: channels, strip chart, Lissajous figures, calls."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Sequence
@@ -206,11 +204,11 @@ def insert(
             if until is not None and info["inserted_length"] >= until - END_TOLERANCE:
                 break
     each = len(radial[0])
-    share = np.arange(1, each + 1) / each
+    fraction = np.arange(1, each + 1) / each
     motion, feed = np.concatenate(radial), np.repeat([period["feed_speed"] for period in periods], each)
     recording = Recording(
         time=SAMPLE_PERIOD * np.arange(1, each * len(radial) + 1),
-        position=np.concatenate([begin + share * (end - begin) for begin, end in itertools.pairwise(positions)]),
+        position=np.concatenate([begin + fraction * (end - begin) for begin, end in itertools.pairwise(positions)]),
         feed=feed,
         radial=motion,
         spectrum=centred_spectra(config.sensor, motion, feed),

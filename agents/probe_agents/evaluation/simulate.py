@@ -1,7 +1,5 @@
 """Simulates one scene: statistics, figures and files in a folder."""
 
-from __future__ import annotations
-
 import io
 import math
 import warnings

@@ -1,7 +1,5 @@
 """Statistics of evaluations: bootstrap intervals, paired differences over tubes, detection curves, summaries."""
 
-from __future__ import annotations
-
 import math
 import warnings
 from collections.abc import Callable, Mapping
@@ -172,7 +170,7 @@ def paired_difference(table: pd.DataFrame, first: str, second: str, kpi: str) ->
     return mean_interval((by_context(table, first, kpi) - by_context(table, second, kpi)).to_numpy())
 
 
-def share_of_lead(table: pd.DataFrame, policy: str, best: str = BEST, bar: str = BAR) -> Interval:
+def fraction_of_lead(table: pd.DataFrame, policy: str, best: str = BEST, bar: str = BAR) -> Interval:
     """Reward of a policy on the scale from ``bar`` (0) to ``best`` (1), with its interval over contexts.
 
     Args:
@@ -180,21 +178,18 @@ def share_of_lead(table: pd.DataFrame, policy: str, best: str = BEST, bar: str =
         policy: the policy.
         best: policy with the share 1.
         bar: policy with the share 0.
-
-    Raises:
-        ValueError: the policies were not run on the same contexts.
     """
     columns = [by_context(table, name, "reward") for name in (policy, best, bar)]
     if not len(columns[0]) or any(not column.index.equals(columns[0].index) for column in columns):
         raise ValueError(f"{policy}, {best} and {bar} cannot be paired: they were not run on the same contexts")
-    values, most, least = (column.to_numpy() for column in columns)
-    gains = values - least, most - least
-    share = float(_ratio_of_means(*gains))
+    values, maximum, minimum = (column.to_numpy() for column in columns)
+    gains = values - minimum, maximum - minimum
+    fraction = float(_ratio_of_means(*gains))
     if len(values) < 2:
-        return Interval(share, math.nan, math.nan)
-    if np.ptp(values - most) == 0.0 or np.ptp(values - least) == 0.0:
-        return Interval(share, share, share)
-    return Interval(share, *map(float, bootstrap_ends(_ratio_of_means, *gains, paired=True)))
+        return Interval(fraction, math.nan, math.nan)
+    if np.ptp(values - maximum) == 0.0 or np.ptp(values - minimum) == 0.0:
+        return Interval(fraction, fraction, fraction)
+    return Interval(fraction, *map(float, bootstrap_ends(_ratio_of_means, *gains, paired=True)))
 
 
 def summarise(table: pd.DataFrame) -> pd.DataFrame:
@@ -243,7 +238,7 @@ def bundle_hours(times: FloatArray, second_pass: BoolArray, tubes: int) -> tuple
     """
     count, k, mean = len(times), int(second_pass.sum()), float(times.mean())
     low, high = beta.ppf(np.array(PERCENTILES) / 100.0, k + 0.5, count - k + 0.5).tolist()
-    share = Interval(k / count, low if k else 0.0, high if k < count else 1.0)
+    fraction = Interval(k / count, low if k else 0.0, high if k < count else 1.0)
     totals = repeats = np.full(RESAMPLES, np.nan)
     if count > 1:
         rng, means = np.random.default_rng(0), bootstrap_means(times[:, None])[:, 0]
@@ -251,9 +246,9 @@ def bundle_hours(times: FloatArray, second_pass: BoolArray, tubes: int) -> tuple
         repeats = rng.binomial(tubes, rng.beta(k + 0.5, count - k + 0.5, RESAMPLES)) * means
     hours, added = (
         Interval(tubes * value / 3600.0, *(np.percentile(drawn, PERCENTILES) / 3600.0).tolist())
-        for value, drawn in ((mean, totals), (share.mean * mean, repeats))
+        for value, drawn in ((mean, totals), (fraction.mean * mean, repeats))
     )
-    return hours, share, added
+    return hours, fraction, added
 
 
 def bundle_table(table: pd.DataFrame, bundle: Bundle | None) -> pd.DataFrame:
@@ -308,11 +303,11 @@ def comparison_lines(table: pd.DataFrame, reference: str) -> list[str]:
         if policy == reference:
             continue
         time = _signed(paired_difference(table, policy, reference, "inspection_time_s"), 1.0, " s")
-        share = _signed(paired_difference(table, policy, reference, "share_within_limit"), 100.0, " %")
+        fraction = _signed(paired_difference(table, policy, reference, "share_within_limit"), 100.0, " %")
         lead = ""
         if has_lead and policy not in (BEST, BAR):
-            lead = f", share of the lead of {BEST} over {BAR} {share_of_lead(table, policy).text(100.0)} %"
-        lines.append(f"{policy} against {reference}: time {time}, length within the limit {share}{lead}")
+            lead = f", share of the lead of {BEST} over {BAR} {fraction_of_lead(table, policy).text(100.0)} %"
+        lines.append(f"{policy} against {reference}: time {time}, length within the limit {fraction}{lead}")
     return lines
 
 
@@ -330,8 +325,10 @@ def strain_lines(table: pd.DataFrame) -> list[str]:
         for name, words in STRAINS.items():
             periods = part.get(name, pd.Series(dtype=float))
             if count := int((periods > 0.0).sum()):
-                most = f"{periods.max():.0f} control period{'s' if periods.max() > 1.0 else ''}"
-                lines.append(f"{policy}: the root was {words} in {count} of {len(part)} episodes, for {most} at most")
+                maximum = f"{periods.max():.0f} control period{'s' if periods.max() > 1.0 else ''}"
+                lines.append(
+                    f"{policy}: the root was {words} in {count} of {len(part)} episodes, for {maximum} at most"
+                )
     return lines
 
 
@@ -359,8 +356,8 @@ def depths_of(table: pd.DataFrame) -> pd.DataFrame:
     rows = []
     for policy in dict.fromkeys(table["policy"]):
         mean = _mean(curves_by_tube(table, policy))
-        half, most = (100.0 * float(depths_found(mean, level)[0]) for level in (0.5, 0.9))
-        rows.append((policy, half, most, a90_95(table, policy)))
+        half, maximum = (100.0 * float(depths_found(mean, level)[0]) for level in (0.5, 0.9))
+        rows.append((policy, half, maximum, a90_95(table, policy)))
     return pd.DataFrame(rows, columns=list(DEPTH_COLUMNS))
 
 

@@ -3,8 +3,6 @@
 Tasks of a lost worker are run again.
 """
 
-from __future__ import annotations
-
 import os
 import signal
 import threading

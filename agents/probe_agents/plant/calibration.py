@@ -1,7 +1,5 @@
 """Calibration of a plant from its logs: ``calibration.json``, tables, figures and a check of the fit."""
 
-from __future__ import annotations
-
 import json
 import logging
 import os
@@ -196,11 +194,11 @@ def read_cases(
         scene = plant.scene.model_copy(update={"tube": {"helix_diameter": diameter}})
         log = read_log(file, columns, missing=missing, time_format=time_format)
         metres = metres_of(log)
-        least = metres.feed / air_speed(scene, 1.0)
-        if (slow := metres.air <= least).any():
+        minimum = metres.feed / air_speed(scene, 1.0)
+        if (slow := metres.air <= minimum).any():
             k = int(slow.argmax())
             problem = f"air_supply = {HOUR * metres.air[k]:.4g} m3/h at an inserted length of {metres.length[k]:g} m"
-            hint = f"calibration needs air that is faster than the feed, there more than {HOUR * least[k]:.3g} m3/h"
+            hint = f"calibration needs air that is faster than the feed, there more than {HOUR * minimum[k]:.3g} m3/h"
             raise FileError(file, f"{problem}: {hint} - is the column or its unit wrong?")
         cases.append(LogCase(label, tube, scene, metres))
     return cases

@@ -1,7 +1,5 @@
 """Repairs of a recorded log, which are bounded and counted, and thinning to fewer rows."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Final
 
@@ -64,10 +62,10 @@ class Repairs:
     untimed: int = 0  # rows without a time, dropped
     duplicates: int = 0  # rows at the time of the row before, averaged with it
     gaps: int = 0  # in time, interpolated
-    longest_gap: float = 0.0  # [s]
+    max_gap: float = 0.0  # [s]
     missing: int = 0  # values, interpolated
     backward: int = 0  # rows with a smaller encoder length than an earlier row
-    most_backward: float = 0.0  # [m]
+    max_backward: float = 0.0  # [m]
 
 
 @dataclass(frozen=True)
@@ -135,7 +133,7 @@ def clean(channels: Channels, bounds: Bounds) -> CleanLog:
                 )
     assert length is not None  # the log has one of both
     high = np.maximum.accumulate(length)
-    backward, most = high - length, POSITIONS["inserted_length_m"][1]
+    backward, maximum = high - length, POSITIONS["inserted_length_m"][1]
     if (moving_back := backward > bounds.backward).any():
         row = int(moving_back.argmax())
         problem = (
@@ -144,10 +142,10 @@ def clean(channels: Channels, bounds: Bounds) -> CleanLog:
         hint = "that count as noise - a log must be of an insertion: cut the file there, or raise --backward"
         name = "feed_speed" if encoder is None else "inserted_length"
         raise table.error(rows[row], f"{problem} {hint}", channels.indices[name])
-    if length.max() > most:
-        raise table.error(rows[int(length.argmax())], f"a length of {length.max():.6g} m is more than {most:g} m")
+    if length.max() > maximum:
+        raise table.error(rows[int(length.argmax())], f"a length of {length.max():.6g} m is more than {maximum:g} m")
     low = np.minimum.accumulate(length[::-1])[::-1]
-    repairs.backward, repairs.most_backward = int((backward > 0.0).sum()), float(backward.max())
+    repairs.backward, repairs.max_backward = int((backward > 0.0).sum()), float(backward.max())
     rising = np.where(low == high, length, 0.5 * (low + high))  # the middle of the band
     return CleanLog(time, rising, (low, high), values, repairs, notes, rows, gaps)
 
@@ -161,7 +159,7 @@ def _merged(channels: Channels, rows: IntArray, bounds: Bounds) -> tuple[FloatAr
     number = not channels.written_out
     unit = f"is the unit of time right? - declare it, --columns '{plain(split_head(table.heads[k])[0])}=time[UNIT]'"
     time = np.round(channels.time[rows] - channels.time[rows[0]], DIGITS)
-    steps, most = np.diff(time), POSITIONS["time_s"][1]
+    steps, maximum = np.diff(time), POSITIONS["time_s"][1]
     if steps.min() < 0.0:
         row = int((steps < 0.0).argmax()) + 1
         cell = table.columns[k][rows[row]].as_py()
@@ -171,8 +169,8 @@ def _merged(channels: Channels, rows: IntArray, bounds: Bounds) -> tuple[FloatAr
         raise table.error(rows[row], f"{problem}: {hint}", k)
     if time[-1] == 0.0:
         raise table.error(rows[-1], "the time never changes: is this the column of time?", k)
-    if time[-1] > most:
-        problem = f"{time[-1]:.6g} s are more than {most:g} s: cut the log, or check the unit of time"
+    if time[-1] > maximum:
+        problem = f"{time[-1]:.6g} s are more than {maximum:g} s: cut the log, or check the unit of time"
         raise table.error(rows[-1], problem, k)
     if time[-1] < SHORTEST:
         problem = f"the whole log lasts {time[-1]:.6g} s, less than {SHORTEST:g} s"

@@ -16,7 +16,7 @@ from probe_agents.plant.response import CHANNELS, DRAG, FLOORS, Metres, Response
 from probe_env import Scene
 from probe_env.arrays import FloatArray
 
-LEAST_METRES: Final = 8
+MIN_METRES: Final = 8
 SENSOR: Final = np.array([0.005, 0.05, 0.05, 0.05])
 """Smallest scatter of the measurements of a metre [decades]: sensors and error of the network."""
 GAUGES: Final = np.array([0.01, 0.0, 0.0, 0.0])
@@ -30,12 +30,12 @@ LIKELIHOOD_POWER: Final = 0.7
 found on 48 simulated logs at ``standard`` that are not used elsewhere."""
 WALKERS: Final = 32
 BURN_IN, STEPS, DRAWS = 300, 400, 512
-SETTLED, FIRST, LEAST = 3, 2048, 256
+SETTLED, FIRST, MINIMUM = 3, 2048, 256
 """Rounds that fix the scatter of the vibration, draws per round, and draws used of each."""
 
 BOX: Final = 2.33
 """Gains: bound of the standard normal coordinates (98 % of the prior), uniform within it."""
-MOST: Final = 1.5
+MAXIMUM: Final = 1.5
 """Largest logarithm of a gain."""
 CORRELATION: Final = 15.0, 0.8
 """Correlation of the deviations of the tension in gains: length [m], and share of independent noise. The likelihood of
@@ -147,8 +147,8 @@ def sample_posterior(
     for case in cases:
         if not case.metres.measured:
             raise ValueError(f"{case.name}: has none of the channels {', '.join(CHANNELS)}")
-        if len(case.metres) < LEAST_METRES:
-            raise ValueError(f"{case.name}: {len(case.metres)} metres of insertion, at least {LEAST_METRES} are needed")
+        if len(case.metres) < MIN_METRES:
+            raise ValueError(f"{case.name}: {len(case.metres)} metres of insertion, at least {MIN_METRES} are needed")
     likelihood = Likelihood(response, cases)
     size = (tubes := len(likelihood.tubes)) + len(prior.shared)
     rng = np.random.default_rng([seed, size])
@@ -158,15 +158,15 @@ def sample_posterior(
 
     walkers = max(WALKERS, 4 * size)
     # the scatter is fixed at likely draws from the prior, starting with all draws
-    drawn, chosen = prior.values(rng.normal(size=(FIRST, size)), tubes), np.arange(LEAST)
+    drawn, chosen = prior.values(rng.normal(size=(FIRST, size)), tubes), np.arange(MINIMUM)
     for _ in range(SETTLED):
         likelihood.settle(drawn[:, chosen])
         logarithm = np.concatenate([likelihood.logarithm(p) for p in np.array_split(drawn, FIRST // 32, axis=1)])
-        chosen = rng.choice(FIRST, LEAST, p=_shares(logarithm, WALKERS))
+        chosen = rng.choice(FIRST, MINIMUM, p=_fractions(logarithm, WALKERS))
     likelihood.settle(drawn[:, chosen])
     normal = rng.normal(size=(256 * walkers, size))
     logarithm = np.concatenate([density(part) for part in np.array_split(normal, 256)])
-    start = normal[rng.choice(len(normal), walkers, replace=False, p=_shares(logarithm, walkers))]
+    start = normal[rng.choice(len(normal), walkers, replace=False, p=_fractions(logarithm, walkers))]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)
         moves = [(emcee.moves.DEMove(), 0.8), (emcee.moves.DESnookerMove(), 0.2)]
@@ -183,12 +183,12 @@ def sample_posterior(
     return Posterior(prior.values(chain[rows], tubes), misfit, likelihood)
 
 
-def _shares(logarithm: FloatArray, least: int) -> FloatArray:
-    """Weights from a likelihood, tempered so that the effective number of draws is at least ``least``."""
+def _fractions(logarithm: FloatArray, minimum: int) -> FloatArray:
+    """Weights from a likelihood, tempered so that the effective number of draws is at least ``minimum``."""
     cold = 1.0
     for _ in range(20):
         weights = np.exp(cold * (logarithm - logarithm.max()))
-        if weights.sum() ** 2 / (weights**2).sum() >= least:
+        if weights.sum() ** 2 / (weights**2).sum() >= minimum:
             break
         cold *= 0.5
     return np.asarray(weights / weights.sum())
@@ -244,7 +244,7 @@ class GainLikelihood:
             for values in (deviations[..., self.column].T, 1.0 / (scatter * np.log(10.0)))
         )
         slope, bend = (white * of_gain).sum(axis=0), (of_gain**2).sum(axis=0)
-        gain = np.clip(slope / bend, -MOST, MOST) * self.free
+        gain = np.clip(slope / bend, -MAXIMUM, MAXIMUM) * self.free
         square = (white**2).sum(axis=0) - 2.0 * gain * slope + gain**2 * bend
         return total - 0.5 * square - np.log(scatter).sum(axis=0), gain
 

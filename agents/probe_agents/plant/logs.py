@@ -1,7 +1,5 @@
 """Logs of inspection rigs: read, repaired and thinned to a clean file that commands accept as a schedule."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
@@ -32,7 +30,7 @@ from probe_agents.terminal.tables import print_table, print_terms
 from probe_env.arrays import FloatArray
 from probe_env.envs.task import TaskConfig
 from probe_env.files import FileError, one_line
-from probe_env.schedule import AIR, CSV_COMMENT, FEED, MOST_POINTS, RANGES
+from probe_env.schedule import AIR, CSV_COMMENT, FEED, MAX_POINTS, RANGES
 from probe_env.settings import within
 
 DECIMALS: Final[Mapping[str, str]] = {"auto": "", "point": ".", "comma": ","}
@@ -137,16 +135,16 @@ def read_log(
         within("air_supply", HOUR * air_supply_rate, 0.0, RANGES[AIR][1], "m3/h")
     channels = read_channels(path, sheet, options, DECIMALS[decimal], air_supply_rate, missing, time_format)
     table, whole = channels.table, clean(channels, bounds)
-    share = 0.49 * bounds.tolerance  # for standstills and for interpolation; the rest is for rounding
+    fraction = 0.49 * bounds.tolerance  # for standstills and for interpolation; the rest is for rounding
     rows: IntArray
     if table.steps:  # already a clean file
         length, rows = whole.length.copy(), np.arange(len(whole.time))
     else:
-        length, ends = standstills_of(whole.time, whole.length, whole.band, share)
+        length, ends = standstills_of(whole.time, whole.length, whole.band, fraction)
         band = np.minimum(whole.band[0], length), np.maximum(whole.band[1], length)
-        rows = thin_rows(whole.time, length, band, ends, share, bounds.every)
-    if len(rows) > MOST_POINTS:
-        raise FileError(table.path, f"{len(rows)} rows remain, more than {MOST_POINTS}: raise --every or --tolerance")
+        rows = thin_rows(whole.time, length, band, ends, fraction, bounds.every)
+    if len(rows) > MAX_POINTS:
+        raise FileError(table.path, f"{len(rows)} rows remain, more than {MAX_POINTS}: raise --every or --tolerance")
     time, rounded = whole.time[rows], np.round(length[rows], DIGITS)
     speed = np.diff(rounded) / np.diff(time)
     if speed.max() > RANGES[FEED][1]:
@@ -239,11 +237,11 @@ def print_log(log: Log, path: Path) -> None:
         "rows": f"{repairs.rows} in the log, {len(log.time)} in the clean file",
         "duration": f"{log.time[-1]:.6g} s",
         "length": f"{start:.4f} m to {end:.4f} m, within {1e3 * log.deviation:.2f} mm at every row",
-        "gaps": f"{repairs.gaps} interpolated, the longest {repairs.longest_gap:.3g} s",
+        "gaps": f"{repairs.gaps} interpolated, the longest {repairs.max_gap:.3g} s",
         "missing": f"{repairs.missing} values interpolated",
         "no time": f"{repairs.untimed} rows dropped",
         "duplicates": f"{repairs.duplicates} rows averaged with the row of equal time",
-        "backward": f"{repairs.backward} rows smoothed, by at most {1e3 * repairs.most_backward:.2g} mm",
+        "backward": f"{repairs.backward} rows smoothed, by at most {1e3 * repairs.max_backward:.2g} mm",
         "dwells": str(len(dwells)),
     }
     print_terms({name: "none" if text.split()[0] == "0" else text for name, text in terms.items()})

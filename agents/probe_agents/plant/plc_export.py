@@ -1,7 +1,5 @@
 """For a PLC: the recommended schedule as a recipe, and a feedback law as IEC 61131-3 structured text or as a table."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Sequence
 from pathlib import Path

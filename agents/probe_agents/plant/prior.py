@@ -1,7 +1,5 @@
 """Unknown parameters of a plant and their prior distribution."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -62,15 +60,15 @@ class Prior:
 
         The frictions of the tubes come first. The prior in these coordinates is standard normal.
         """
-        shares = np.clip(ndtr(normal), 1e-9, 1.0 - 1e-9)
+        fractions = np.clip(ndtr(normal), 1e-9, 1.0 - 1e-9)
         table = np.empty((tubes, len(normal), len(UNKNOWNS)))
         for k, name in enumerate(UNKNOWNS):
             if name in self.fixed:
                 table[:, :, k] = self.fixed[name]
             elif name == "friction":
-                table[:, :, k] = self.quantile[name](shares[:, :tubes]).T
+                table[:, :, k] = self.quantile[name](fractions[:, :tubes]).T
             else:
-                table[:, :, k] = self.quantile[name](shares[:, tubes + self.shared.index(name)])
+                table[:, :, k] = self.quantile[name](fractions[:, tubes + self.shared.index(name)])
         return table
 
 
@@ -94,7 +92,7 @@ def prior_of(plant: Plant, file: str = "tube") -> Prior:
             continue
         else:
             if name == "drag_coefficient":
-                low, high = (share * figure for share in DRAG)
+                low, high = (fraction * figure for fraction in DRAG)
             figure = Between(low=low, high=high)
             prior.assumed.append(f"{unknown.text} {low:g} to {high:g} {unknown.unit}".strip())
             if name != "friction":
@@ -104,8 +102,8 @@ def prior_of(plant: Plant, file: str = "tube") -> Prior:
     return prior
 
 
-def _log_uniform(low: float, high: float, shares: FloatArray) -> FloatArray:
-    return np.asarray(low * (high / low) ** shares)
+def _log_uniform(low: float, high: float, fractions: FloatArray) -> FloatArray:
+    return np.asarray(low * (high / low) ** fractions)
 
 
 def _checked(value: float, unknown: Unknown, file: str) -> float:

@@ -4,8 +4,6 @@ Feed and air at every few metres follow from dynamic programming over the cost p
 schedule smooth; settings with too little tension in too many samples are excluded.
 """
 
-from __future__ import annotations
-
 import math
 import warnings
 from bisect import bisect_right
@@ -33,7 +31,7 @@ from probe_agents.records.quantities import HOUR
 from probe_agents.terminal.tables import print_line
 from probe_env import Context, Plant, Scene
 from probe_env.arrays import BoolArray, FloatArray
-from probe_env.envs.task import TaskConfig, drive_counts, metre_reward, share_between, slack
+from probe_env.envs.task import TaskConfig, drive_counts, fraction_between, metre_reward, slack
 from probe_env.envs.vibration_map import expected_cost, feeds
 from probe_env.physics.closed_forms import buckling_load, steady_root_tension
 from probe_env.schedule import Schedule
@@ -205,7 +203,7 @@ def optimal_schedule(
     path = settings.cheapest(costs.mean(axis=0), CHANGE_WEIGHT)
     rewards = metre_reward(config, costs[:, range(len(path)), path]) @ settings.spacing
     low, high = np.quantile(rewards, INTERVAL)
-    return Optimum(settings.schedule(path), float(rewards.mean()), (low, high), settings.least_tension(path, config))
+    return Optimum(settings.schedule(path), float(rewards.mean()), (low, high), settings.min_tension(path, config))
 
 
 class Settings(NamedTuple):
@@ -235,7 +233,7 @@ class Settings(NamedTuple):
         position, feed, air = (tuple(v.tolist()) for v in (self.lengths, self.feed[path], self.air[path]))
         return Schedule("inserted_length", "linear", position, feed, air)
 
-    def least_tension(self, path: list[int], config: TaskConfig) -> float:
+    def min_tension(self, path: list[int], config: TaskConfig) -> float:
         """Least tension of a schedule where lost drive is scored [N]."""
         scored = drive_counts(config, self.lengths)
         return float(self.tension[range(len(path)), path][scored].min(initial=np.inf))
@@ -249,8 +247,8 @@ def settings_of(tubes: Sequence[Context], config: TaskConfig, start_air: float =
     shape = len(lengths), len(feed)
     spacing = np.gradient(lengths)
     spacing[[0, -1]] *= 0.5  # half a spacing at the ends
-    logarithm, share = np.log(feed), share_between(air, config.air_supply_rates)
-    change = (logarithm[:, None] - logarithm) ** 2 + (share[:, None] - share) ** 2
+    logarithm, fraction = np.log(feed), fraction_between(air, config.air_supply_rates)
+    change = (logarithm[:, None] - logarithm) ** 2 + (fraction[:, None] - fraction) ** 2
     settings = Settings(lengths, spacing, feed, air, change, np.zeros(shape), np.zeros(shape, dtype=bool))
     tension = np.quantile(tensions(tubes, config, settings.metres), 1.0 - CONFIDENCE, axis=0).reshape(shape)
     too_slack = slack(config, tension / MARGIN, lengths[:, None])
@@ -258,8 +256,8 @@ def settings_of(tubes: Sequence[Context], config: TaskConfig, start_air: float =
     if hopeless.any():
         at = f"{tension[hopeless][0].max():.3g} N at {lengths[hopeless][0]:g} m in {CONFIDENCE:.0%} of the samples"
         needed = f"{MARGIN * config.required_tension:.3g} N are needed ({MARGIN:g} times required_tension)"
-        most = HOUR * config.air_supply_rates[1]
-        problem = f"air_supply_rates: the max, {most:.4g} m3/h, gives a root tension of only"
+        maximum = HOUR * config.air_supply_rates[1]
+        problem = f"air_supply_rates: the max, {maximum:.4g} m3/h, gives a root tension of only"
         raise ValueError(f"{problem} {at}, and {needed}")
     too_slack |= (air < start_air - 1e-12) & ~drive_counts(config, lengths[:, None])
     return settings._replace(tension=tension, excluded=too_slack)
@@ -269,8 +267,8 @@ def optimal_law(tubes: Sequence[Context], response: Response, config: TaskConfig
     """A feedback law: the recommended schedule for each of ``FRICTIONS`` in the range of the tubes; same errors."""
     values = {name: [getattr(tube, name) for tube in tubes] for name in Context.model_fields}
     ranges = {name: (min(v), max(v)) for name, v in values.items()}
-    least, most = ranges["friction"]
-    inside = [mu for mu in FRICTIONS if least - STEP < mu < most + STEP]
+    minimum, maximum = ranges["friction"]
+    inside = [mu for mu in FRICTIONS if minimum - STEP < mu < maximum + STEP]
     tables: list[OfDiameter] = []
     lengths: tuple[float, ...] = ()
     for diameter in dict.fromkeys(tube.helix_diameter for tube in tubes):
@@ -366,13 +364,13 @@ def safe_air(config: TaskConfig, tubes: Sequence[Context], feeds: tuple[float, f
         feeds: slowest and fastest feed [m/s]; the fastest has the least tension, the slowest the most compression.
     """
     slowest, fastest = feeds
-    least, most = (3600.0 * air for air in config.air_supply_rates)
-    whole = np.append(np.arange(math.ceil(least), most), (least, most)) / 3600.0
+    minimum, maximum = (3600.0 * air for air in config.air_supply_rates)
+    whole = np.append(np.arange(math.ceil(minimum), maximum), (minimum, maximum)) / 3600.0
     # bounds in steps of the device, so that no air between them is rounded to a value outside
     airs = np.unique(np.round(3600.0 * config.feasible(np.full_like(whole, fastest), whole)[:, 1], 9))
-    pulls, enough = least_root_tension(config, tubes, airs, fastest), MARGIN * config.required_tension
+    pulls, enough = min_root_tension(config, tubes, airs, fastest), MARGIN * config.required_tension
     if not (pulls >= enough).any():
-        problem = f"air_supply_rates up to {most:.4g} m3/h: the most air pulls with only {pulls.max():.3g} N"
+        problem = f"air_supply_rates up to {maximum:.4g} m3/h: the most air pulls with only {pulls.max():.3g} N"
         needed = f"{enough:.3g} N are needed ({MARGIN:g} times required_tension)"
         raise ValueError(f"{problem} in the worst tube, and {needed}")
     safe_load = buckling_load(config.scene.probe) / MARGIN
@@ -380,14 +378,14 @@ def safe_air(config: TaskConfig, tubes: Sequence[Context], feeds: tuple[float, f
         bisect_right(airs, safe_load, key=partial(root_compression, config, tube, feed=slowest)) for tube in tubes
     )
     if safe_count == 0:
-        greatest = max(root_compression(config, tube, airs[0], slowest) for tube in tubes)
-        problem = f"air_supply_rates from {least:.4g} m3/h: the least air compresses with {greatest:.3g} N"
+        max_compression = max(root_compression(config, tube, airs[0], slowest) for tube in tubes)
+        problem = f"air_supply_rates from {minimum:.4g} m3/h: the least air compresses with {max_compression:.3g} N"
         limit = f"{safe_load:.3g} N (buckling load between two floats over {MARGIN:g})"
         raise ValueError(f"{problem}; the limit is {limit}")
     return float(airs[pulls >= enough].min()), float(airs[safe_count - 1])
 
 
-def least_root_tension(config: TaskConfig, tubes: Sequence[Context], airs: FloatArray, feed: float) -> FloatArray:
+def min_root_tension(config: TaskConfig, tubes: Sequence[Context], airs: FloatArray, feed: float) -> FloatArray:
     """(a,) smallest root tension of an insertion [N] over tubes and lengths at which lost drive is scored, by air."""
     lengths = np.linspace(FIRST, config.scene.tube.helix_length, 23)
     lengths = lengths[drive_counts(config, lengths)]

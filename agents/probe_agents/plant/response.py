@@ -28,7 +28,7 @@ STORED: Final = Path(__file__).parent / "data" / "response.npz"
 CHANNELS: Final = MEASURED
 RESTART: Final = 3.0
 """Time after a standstill that is ignored [s]: the probe accelerates."""
-LEAST_FED: Final = 0.5
+MIN_FED: Final = 0.5
 """Least share of a metre with feed; other metres are ignored."""
 FLOORS: Final = np.array([1e-2, 0.1, 0.4, 2e-6])
 """Resolution of each channel in SI units, added as root of squares (the tension is clipped).
@@ -74,7 +74,7 @@ class Metres:
 def metres_of(log: Log) -> Metres:
     """Average a log over metres: means over time, root mean squares for rms channels.
 
-    Standstills, the following ``RESTART`` and metres with a share of feed below ``LEAST_FED`` are ignored.
+    Standstills, the following ``RESTART`` and metres with a share of feed below ``MIN_FED`` are ignored.
     """
     names = [name for name in CHANNELS if name in log.measured]
     lasts = np.diff(log.time, append=log.time[-1] + (log.time[-1] - log.time[-2] if len(log.time) > 1 else 1.0))
@@ -86,7 +86,7 @@ def metres_of(log: Log) -> Metres:
     first = int(metre.min(initial=0))  # there may be no metre with feed
     seconds = np.bincount(metre - first, lasts[good])
     through = np.bincount(metre - first, fed[good])
-    complete = through >= LEAST_FED
+    complete = through >= MIN_FED
 
     def mean(values: FloatArray, rms: bool = False) -> FloatArray:
         weighed = (

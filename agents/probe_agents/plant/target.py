@@ -7,8 +7,6 @@ in the band of a flaw, with its scatter. The map takes the noise for Gaussian an
 is 10 to 30 % too low: schedules for several depths are simulated until one just meets the target.
 """
 
-from __future__ import annotations
-
 import math
 import re
 import warnings
@@ -45,11 +43,11 @@ from probe_env.envs.vibration_map import CONTEXT, VibrationMap
 from probe_env.inspection.detection import DEPTHS, depths_found, pod_gaussian, snr_at, threshold
 from probe_env.schedule import Schedule
 
-LEAST, MOST = 2.0, 99.0
+MIN_DEPTH, MAX_DEPTH = 2.0, 99.0
 """Accepted targets of a90 [% of the wall]; beyond 99 no flaw needs to be found."""
 CHANGE_WEIGHT: Final = 5.0
 """Cost of a change of the feed by a factor of e, or of the air over its range, between two points [s]."""
-MOST_SIMULATED: Final = 6
+MAX_SIMULATED: Final = 6
 """Number of simulated schedules."""
 CLOSE: Final = 0.98
 """Share of the target that is close enough; the search aims between this and 1."""
@@ -57,7 +55,7 @@ CANDIDATES: Final = 3
 """One tube in three is simulated, those with the largest a90 on the map: the limit is the second largest of 96."""
 POINTS: Final = 9
 """Number of depths in the table of time against a90."""
-TIME_SHARE: Final = 0.98
+TIME_FRACTION: Final = 0.98
 """Largest time of a schedule over the time limit; the feed ramp takes the rest."""
 
 
@@ -87,9 +85,10 @@ class TargetResult(NamedTuple):
 def a90_target(text: str) -> float:
     """The target of ``--find a90=PERCENT`` [% of the wall]."""
     match = re.fullmatch(r"a90=(\d+(?:\.\d*)?)", text.strip())
-    if not match or not LEAST <= float(match[1]) <= MOST:
+    if not match or not MIN_DEPTH <= float(match[1]) <= MAX_DEPTH:
         raise ValueError(
-            f"find = {text!r} is not a90=PERCENT with {LEAST:g} to {MOST:g} percent of the wall, such as a90=20"
+            f"find = {text!r} is not a90=PERCENT with {MIN_DEPTH:g} to {MAX_DEPTH:g} percent of the wall,"
+            " such as a90=20"
         )
     return float(match[1])
 
@@ -157,13 +156,13 @@ class MapSearch:
                 low = middle
                 continue
             high = middle
-            if candidate.time <= TIME_SHARE * self.config.time_limit:
+            if candidate.time <= TIME_FRACTION * self.config.time_limit:
                 best = candidate
         return best
 
-    def least(self) -> Candidate:
+    def minimum(self) -> Candidate:
         """The schedule with nearly the least limit of a90 that the time limit allows."""
-        low, high = math.log(LEAST), math.log(100.0)
+        low, high = math.log(MIN_DEPTH), math.log(100.0)
         best = self.fastest(100.0)
         if best is None:
             raise ValueError(f"task.time_limit = {self.config.time_limit:g} s is too short for every schedule")
@@ -176,23 +175,23 @@ class MapSearch:
 
     def _candidate(self, path: list[int]) -> Candidate:
         settings, where = self.settings, (slice(None), range(len(path)), path)
-        share = settings.spacing / settings.spacing.sum()
-        curves = np.stack([(share * self.pod(depth, where)).sum(axis=1) for depth in DEPTHS], axis=1)
+        fraction = settings.spacing / settings.spacing.sum()
+        curves = np.stack([(fraction * self.pod(depth, where)).sum(axis=1) for depth in DEPTHS], axis=1)
         a90 = 100.0 * depths_found(curves, 0.9)
         time = float((settings.spacing / settings.feed[path]).sum())
-        tension = settings.least_tension(path, self.config)
+        tension = settings.min_tension(path, self.config)
         return Candidate(settings.schedule(path), a90, upper_limit(a90), time, tension)
 
 
 def find_schedule(search: MapSearch, target: float, simulated_limit: Callable[[Candidate], float]) -> TargetResult:
     """The fastest schedule of a search whose simulated upper limit of a90 is within a target [% of the wall]."""
-    least, loosest = search.least(), search.fastest(100.0)
+    minimum, loosest = search.minimum(), search.fastest(100.0)
     assert loosest
     goal, level = 0.5 * (1.0 + CLOSE) * target, target
     tried: list[tuple[Candidate, float]] = []
     within: list[tuple[Candidate, float]] = []  # fastest first
-    while len(tried) < MOST_SIMULATED:
-        candidate = least if level <= least.limit else search.fastest(min(level, 100.0)) or least
+    while len(tried) < MAX_SIMULATED:
+        candidate = minimum if level <= minimum.limit else search.fastest(min(level, 100.0)) or minimum
         if any(candidate.schedule == before.schedule for before, _ in tried):
             break
         tried.append((candidate, simulated_limit(candidate)))
@@ -205,14 +204,14 @@ def find_schedule(search: MapSearch, target: float, simulated_limit: Callable[[C
             (candidate, limit), (other, limit_beyond) = within[0], beyond[0]
             slope = math.log(other.limit / candidate.limit) / math.log(limit_beyond / limit)
         level = candidate.limit * (goal / limit) ** max(slope, 0.0)
-    if not within and all(least.schedule != before.schedule for before, _ in tried):
-        tried.append((least, simulated_limit(least)))
+    if not within and all(minimum.schedule != before.schedule for before, _ in tried):
+        tried.append((minimum, simulated_limit(minimum)))
         within = [pair for pair in tried if pair[1] <= target]
     found, limit = within[0] if within else (None, min(limit for _, limit in tried))
     ratio = limit / found.limit if found else tried[-1][1] / tried[-1][0].limit
     rows = [(limit, candidate.time, True) for candidate, limit in tried]
-    for depth in np.geomspace(least.limit, loosest.limit, POINTS):
-        candidate = search.fastest(float(depth)) or least
+    for depth in np.geomspace(minimum.limit, loosest.limit, POINTS):
+        candidate = search.fastest(float(depth)) or minimum
         rows.append((min(ratio * candidate.limit, 100.0), candidate.time, False))
     return TargetResult(found, limit, pd.DataFrame(sorted(rows), columns=["a90_percent_wall", "time_s", "simulated"]))
 

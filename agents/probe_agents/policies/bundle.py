@@ -3,8 +3,6 @@
 Loading runs no code of the file. A zip file of Stable-Baselines3 holds a pickle, which can run any code.
 """
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Mapping
 from itertools import pairwise
@@ -54,7 +52,7 @@ KNOWN: Final = (
 )  # fmt: skip
 """Policy arguments that a bundle describes, or that have no effect after training."""
 OFF_POLICY: Final = ("sac", "td3", "tqc")
-MOST_WEIGHTS: Final = 1 << 24
+MAX_WEIGHTS: Final = 1 << 24
 """Limit of the weights between the hidden layers, so that a file cannot exhaust the memory."""
 LARGEST_WEIGHT: Final = 1e6
 SAME: Final = ("growing", "period")
@@ -74,8 +72,8 @@ class Network(Model):
     @model_validator(mode="after")
     def _fits_in_memory(self) -> Self:
         weights = sum(a * b for a, b in pairwise(self.net_arch))
-        if weights > MOST_WEIGHTS:
-            raise ValueError(f"net_arch: {weights} weights are more than {MOST_WEIGHTS}")
+        if weights > MAX_WEIGHTS:
+            raise ValueError(f"net_arch: {weights} weights are more than {MAX_WEIGHTS}")
         return self
 
 

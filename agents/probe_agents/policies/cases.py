@@ -1,7 +1,5 @@
 """Evaluation cases: task, tubes and vibration map of a plant, or of the study's table 2 with the shipped tubes."""
 
-from __future__ import annotations
-
 import hashlib
 from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple
@@ -109,13 +107,13 @@ def load_case(
         scored_pass: pass that is scored if passes = "both"; default: as in the file, or the better one.
         vibration: vibration map; default: the shipped one.
     """
-    most = SPLIT_SIZES[split]
+    max_tubes = SPLIT_SIZES[split]
     if plant is None:
         config, contexts = TaskConfig(), spread_contexts(split, limit)
-    elif 0 <= limit <= most:
-        config, contexts = plant.config, plant.contexts(limit or most, tuple(SPLIT_SIZES).index(split))
+    elif 0 <= limit <= max_tubes:
+        config, contexts = plant.config, plant.contexts(limit or max_tubes, tuple(SPLIT_SIZES).index(split))
     else:
-        raise ValueError(f"limit = {limit!r} is outside the accepted range 0 (all) to {most}")
+        raise ValueError(f"limit = {limit!r} is outside the accepted range 0 (all) to {max_tubes}")
     update: dict[str, Any] = {"scored_pass": scored_pass} if scored_pass else {}
     if (passes or config.passes) == "in":
         if scored_pass:

@@ -1,7 +1,5 @@
 """Policies by name or file: built-in ones, stored schedules, trained agents, and files of the user."""
 
-from __future__ import annotations
-
 import difflib
 import re
 import warnings

@@ -4,8 +4,6 @@ The memory of an episode is the ``state`` that ``predict`` returns and takes, as
 for each environment, the time first.
 """
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from dataclasses import asdict, dataclass, field
 from typing import Any, ClassVar, Final
@@ -135,8 +133,8 @@ class Replayed(FixedPolicy):
         now = memory[:, 0] + measured["time"]
         measured_at = np.maximum(now - late * period, memory[:, 0])
         lag = memory[:, 1] + schedule.fed_length(measured_at) - inserted
-        share = 1.0 / (1.0 + 2.0 * late)  # stable for every delay: below 2 sin(pi / (4 late + 2))
-        target = (schedule.fed_length(now + period) - schedule.fed_length(now) + share * lag) / period
+        fraction = 1.0 / (1.0 + 2.0 * late)  # stable for every delay: below 2 sin(pi / (4 late + 2))
+        target = (schedule.fed_length(now + period) - schedule.fed_length(now) + fraction * lag) / period
         slow, fast = self.config.feed_speeds
         feed = np.where(target < 0.5 * slow, 0.0, np.clip(target, slow, fast))
         last, air = schedule.at(now)
@@ -208,11 +206,11 @@ class Random(FixedPolicy):
 
     def targets(self, measured: dict[str, FloatArray], memory: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Seeded by time and measurement, so they depend neither on other environments nor on history."""
-        shares = np.empty((2, len(measured["time"])))
+        fractions = np.empty((2, len(measured["time"])))
         for k, (time, noise) in enumerate(zip(measured["time"], measured["rf_noise"], strict=True)):
             entropy = [self.seed, round(time * 1e3), int(np.float64(noise).view(np.uint64))]
-            shares[:, k] = np.random.default_rng(entropy).uniform(size=2)
-        return value_at(shares[0], self.config.feed_speeds), value_at(shares[1], self.config.air_supply_rates)
+            fractions[:, k] = np.random.default_rng(entropy).uniform(size=2)
+        return value_at(fractions[0], self.config.feed_speeds), value_at(fractions[1], self.config.air_supply_rates)
 
 
 BUILT_IN: Final[dict[str, tuple[type[FixedPolicy], dict[str, Any]]]] = {

@@ -3,8 +3,6 @@
 A controller can store it as a table: helix diameter, friction and inserted length in, feed and air out.
 """
 
-from __future__ import annotations
-
 import hashlib
 from dataclasses import dataclass, field
 from pathlib import Path

@@ -35,7 +35,7 @@ from probe_env.schedule import Schedule
 
 SPACING: Final = 2.5  # [m] between knots
 FIRST: Final = 5.0  # [m], the length at which an insertion begins
-LEAST_AIR: Final = 45.0 / 3600.0
+MIN_AIR: Final = 45.0 / 3600.0
 """[m3/s] for table 2; with less, the root tension of a training tube was close to the required 0.8 N."""
 USUAL: Final = Scene()
 FRICTIONS: Final = (0.08, 0.27)
@@ -49,16 +49,16 @@ def knots(config: TaskConfig) -> FloatArray:
     return np.arange(FIRST, config.scene.tube.helix_length + 1.0, SPACING)
 
 
-def least_air(config: TaskConfig) -> float:
-    """Smallest air supply of schedules [m3/s]: it pulls a probe at rest like ``LEAST_AIR`` in table 2."""
-    equal = float(equivalent_air(np.array([LEAST_AIR]), np.zeros(1), USUAL, config.scene)[0])
+def min_air(config: TaskConfig) -> float:
+    """Smallest air supply of schedules [m3/s]: it pulls a probe at rest like ``MIN_AIR`` in table 2."""
+    equal = float(equivalent_air(np.array([MIN_AIR]), np.zeros(1), USUAL, config.scene)[0])
     return float(np.clip(equal, *config.air_supply_rates))
 
 
 @lru_cache(maxsize=64)
 def grid(config: TaskConfig) -> tuple[FloatArray, FloatArray]:
     """(g,) feed speeds [m/s] and air supplies [m3/s] of the search grid."""
-    air = np.linspace(least_air(config), config.air_supply_rates[1], 12)
+    air = np.linspace(min_air(config), config.air_supply_rates[1], 12)
     feed, blown = np.meshgrid(np.geomspace(*feeds(config), 32), air, indexing="ij")
     return feed.ravel(), blown.ravel()
 
@@ -156,7 +156,7 @@ class MapPolicy(FixedPolicy):
     def describe(self) -> dict[str, Any]:
         """With a hash of the map."""
         settings = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("config", "vibration")}
-        return {"policy": type(self).__name__, **settings, "map": self.vibration.digest, "least_air": LEAST_AIR}
+        return {"policy": type(self).__name__, **settings, "map": self.vibration.digest, "least_air": MIN_AIR}
 
 
 @dataclass

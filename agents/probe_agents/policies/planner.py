@@ -5,8 +5,6 @@ largest sum of simulated and expected remaining reward is applied. Noise on the 
 information that a rig does not have.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
@@ -17,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from probe_agents.policies.fixed import gain
-from probe_agents.policies.on_map import FRICTION_STEP, FRICTIONS, LEAST_AIR, expected_costs, knots, targets_on_map
+from probe_agents.policies.on_map import FRICTION_STEP, FRICTIONS, MIN_AIR, expected_costs, knots, targets_on_map
 from probe_agents.policies.policy import Domain
 from probe_env import Context
 from probe_env.arrays import BoolArray, FloatArray
@@ -174,7 +172,7 @@ class InsertionPlanner(ModelPredictivePolicy):
 
     def describe(self) -> dict[str, Any]:
         """With a hash of the map."""
-        return super().describe() | {"map": self.vibration.digest, "least_air": LEAST_AIR}
+        return super().describe() | {"map": self.vibration.digest, "least_air": MIN_AIR}
 
     def _with_friction(self, observation: npt.NDArray[np.float32], memories: list[Memory]) -> list[Memory]:
         if self.tube == "true":
@@ -248,9 +246,9 @@ def candidates_for_both_passes(held: FloatArray, count: int, config: TaskConfig,
     The current setting (n, 2), the fastest feed with the current air, then in turn samples near the current setting and
     the fastest feed with random air: the two passes need different settings, and the turn is too short for small steps.
     """
-    fastest, (least, most) = config.feed_speeds[1], config.air_supply_rates
+    fastest, (minimum, maximum) = config.feed_speeds[1], config.air_supply_rates
     tried = candidates_near(held, np.column_stack([np.full(len(held), fastest), held[:, 1]]), count, config, entropy)
-    airs = np.random.default_rng([*entropy, count]).uniform(least, most, size=count)
+    airs = np.random.default_rng([*entropy, count]).uniform(minimum, maximum, size=count)
     actions = config.actions(np.full(count, fastest), airs).astype(np.float32)
     tried[:, 3::2] = config.targets(actions)[3::2]
     return tried

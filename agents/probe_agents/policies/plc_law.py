@@ -7,8 +7,6 @@ root tension, and on the helix diameter; measured noise changes the effective le
 decreases faster than it increases, since vibration costs more than time.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Final, Self
@@ -16,7 +14,7 @@ from typing import Annotated, Any, ClassVar, Final, Self
 import numpy as np
 
 from probe_agents.policies.fixed import FixedPolicy, gain
-from probe_agents.policies.on_map import least_air
+from probe_agents.policies.on_map import min_air
 from probe_agents.policies.policy import Domain, read_model
 from probe_env import Scene
 from probe_env.arrays import FloatArray
@@ -33,7 +31,7 @@ CREDIBLE: Final = (0.05, 0.35)
 """Range to which the friction estimate is clipped."""
 SHORTEST: Final = 5.0
 """Shortest inserted length for the friction estimate [m]."""
-MOST_SHIFT: Final = 0.7
+MAX_SHIFT: Final = 0.7
 """Limit of the logarithm of effective over inserted length: a factor of two."""
 ITERATIONS: Final = 6
 """Newton iterations for the friction: relative error below 1e-6 (a test)."""
@@ -44,7 +42,7 @@ UNKNOWN_NOISE: Final = 1e-5
 """Initial noise [m]."""
 LOWERED, RAISED = 1.0, 0.5
 """Limits of the logarithm of noise over target, for decreasing and increasing feed."""
-MOST_TRIM: Final = 0.5
+MAX_TRIM: Final = 0.5
 """Limit of the magnitude of the logarithm of the factor on the feed."""
 STORED_TRIM: Final = Path(__file__).parent / "data" / "trimmed-law.json"
 
@@ -86,7 +84,7 @@ class PlantData(Model):
     feed_speeds: tuple[float, float]
     """Slowest feed, and fastest feed that the instrument permits [m/s]."""
     air_supply_rates: tuple[float, float]
-    """[m3/s]: least air of schedules (``on_map.least_air``) and most air."""
+    """[m3/s]: least air of schedules (``on_map.min_air``) and most air."""
 
     @classmethod
     def of(cls, config: Any) -> Self:
@@ -97,7 +95,7 @@ class PlantData(Model):
             drag=drag_per_metre(scene),
             float_diameter=scene.probe.carrier_float_diameter,
             feed_speeds=(config.feed_speeds[0], config.permitted_feed),
-            air_supply_rates=(least_air(config), config.air_supply_rates[1]),
+            air_supply_rates=(min_air(config), config.air_supply_rates[1]),
         )
 
 
@@ -127,11 +125,11 @@ def friction_of(tension: FloatArray, measured: dict[str, FloatArray], plant: Pla
     """
     length = np.maximum(measured["inserted_length"], SHORTEST)
     wind = plant.air_speed_per_supply * measured["air_supply_rate"] - measured["feed_speed"]
-    share = np.clip(tension / np.maximum(plant.drag * wind * wind * length, 1e-6), 0.01, 0.95)
-    x = 1.0 / share
+    fraction = np.clip(tension / np.maximum(plant.drag * wind * wind * length, 1e-6), 0.01, 0.95)
+    x = 1.0 / fraction
     for _ in range(ITERATIONS):
         fallen = np.exp(-x)
-        x = x - (x * share - 1.0 + fallen) / (share - fallen)
+        x = x - (x * fraction - 1.0 + fallen) / (fraction - fallen)
     diameter = measured["helix_diameter"]
     friction = x * 0.5 * diameter / length / (1.0 - plant.float_diameter / diameter)
     return np.asarray(np.clip(friction, *CREDIBLE))
@@ -149,7 +147,7 @@ def law_at(
     """
     c = constants
     inserted, friction, noise, diameter = averaged[0], averaged[1] / FRICTION, averaged[2], averaged[3] / DIAMETER
-    shift = np.clip(c.shift * (noise - np.log(c.quiet)), -MOST_SHIFT, MOST_SHIFT)
+    shift = np.clip(c.shift * (noise - np.log(c.quiet)), -MAX_SHIFT, MAX_SHIFT)
     length = inserted * np.exp(shift)
     onset = c.onset_length * friction**-c.onset_friction * diameter**c.onset_diameter
     slow = c.slow_feed * (np.maximum(length, 0.1) / LENGTH) ** -c.slow_length * friction**-c.slow_friction
@@ -212,7 +210,7 @@ class PlcIntegral(PlcProportional):
         past = air > self._plant.air_supply_rates[0]  # the onset
         short = np.clip(np.log(self.trim.aim) - noise, -LOWERED, RAISED)
         trim += np.where(past, self.config.period / self.trim.time * short, 0.0)
-        np.clip(trim, -MOST_TRIM, MOST_TRIM, out=trim)
+        np.clip(trim, -MAX_TRIM, MAX_TRIM, out=trim)
         trimmed = np.clip(feed * np.exp(trim), *self._plant.feed_speeds)
         return np.where(past, trimmed, feed), air
 

@@ -141,10 +141,10 @@ class Domain:
         tubes = list(contexts)
         for name, (low, high) in self.ranges.items():
             values, unit = [getattr(tube, name) for tube in tubes], UNITS[name]
-            least, most = min(values), max(values)
+            minimum, maximum = min(values), max(values)
             slack = max(TOLERANCE * (high - low), 1e-3 * high)
-            if least < low - slack or most > high + slack:
-                values_text = f"{least:g}" if least == most else f"{least:g} to {most:g}"
+            if minimum < low - slack or maximum > high + slack:
+                values_text = f"{minimum:g}" if minimum == maximum else f"{minimum:g} to {maximum:g}"
                 deviations.append(f"{name} {values_text}{unit} ({low:g} to {high:g}{unit})")
         return deviations
 

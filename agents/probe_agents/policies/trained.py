@@ -1,7 +1,5 @@
 """Reads bundles of trained agents without torch, and prints the shipped agents."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any, Final
@@ -18,13 +16,13 @@ from probe_env.envs.task.scales import PROBE
 from probe_env.files import MEBI, FileError, read_bytes, read_toml
 from probe_env.settings import tuples
 
-MOST_BYTES: Final = 512 * MEBI
+MAX_BYTES: Final = 512 * MEBI
 RESTORE: Final = "restore the file, or train again"
 
 
 def read_weights(path: Path) -> tuple[str, str, dict[str, npt.NDArray[Any]]]:
     """Read description (JSON text), hash and weights of a bundle."""
-    content = read_bytes(path, MOST_BYTES)
+    content = read_bytes(path, MAX_BYTES)
     try:
         weights = safetensors.numpy.load(content)  # checks the header, which begins with its length
         metadata = json.loads(content[8 : 8 + int.from_bytes(content[:8], "little")])["__metadata__"]

@@ -1,7 +1,5 @@
 """Features and actions of a trained agent: equal in training, evaluation and pictures."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Annotated, Any, Self
 
@@ -10,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import BeforeValidator, Field, model_validator
 
-from probe_env.envs.task import TaskConfig, action_of, share_between, share_of, value_at
+from probe_env.envs.task import TaskConfig, action_of, fraction_between, fraction_of, value_at
 from probe_env.envs.task.observations import in_si_units
 from probe_env.envs.task.scales import OBSERVATIONS, with_present_names
 from probe_env.physics.closed_forms import MEASURED, SHAPE, friction_from_tension
@@ -103,33 +101,33 @@ class View(Model):
             visible = np.column_stack([visible, scaled]).astype(np.float32)
         repeated = np.tile(visible, len(self.averages))
         before = repeated if memory is None else memory
-        shares = -np.expm1(-config.decision_period / np.array(self.averages))
-        gains = np.repeat(shares, visible.shape[1]).astype(np.float32)
+        fractions = -np.expm1(-config.decision_period / np.array(self.averages))
+        gains = np.repeat(fractions, visible.shape[1]).astype(np.float32)
         averages = np.where(new[:, None], repeated, before + gains * (repeated - before)).astype(np.float32)
         return np.concatenate([visible, averages], axis=1), averages
 
     def env_actions(self, config: TaskConfig, actions: Rows) -> npt.NDArray[np.float32]:
         """(N, 2) actions of the environment for the agent's actions."""
         low, high = config.feed_speeds
-        share = share_of(np.asarray(actions, dtype=np.float64))
-        feed = low * (high / low) ** share[:, 0] if self.logarithmic_feed else value_at(share[:, 0], (low, high))
-        linear = action_of(share_between(feed, config.feed_speeds))
+        fraction = fraction_of(np.asarray(actions, dtype=np.float64))
+        feed = low * (high / low) ** fraction[:, 0] if self.logarithmic_feed else value_at(fraction[:, 0], (low, high))
+        linear = action_of(fraction_between(feed, config.feed_speeds))
         floor = self._air_floor(config)
-        blown = floor + (1.0 - floor) * share[:, 1]
+        blown = floor + (1.0 - floor) * fraction[:, 1]
         encoded: npt.NDArray[np.float32] = np.column_stack([linear, action_of(blown)]).astype(np.float32)
         return np.clip(encoded, -1.0, 1.0)
 
     def agent_actions(self, config: TaskConfig, actions: Rows) -> npt.NDArray[np.float32]:
         """(N, 2) inverse of ``env_actions``; feed and air below the least are clipped."""
         low, high = config.feed_speeds
-        share = share_of(np.asarray(actions, dtype=np.float64))
-        feed = value_at(share[:, 0], (low, high))
+        fraction = fraction_of(np.asarray(actions, dtype=np.float64))
+        feed = value_at(fraction[:, 0], (low, high))
         logarithmic = action_of(np.log(feed / low) / np.log(high / low)) if self.logarithmic_feed else actions[:, 0]
         floor = self._air_floor(config)
-        blown = (share[:, 1] - floor) / (1.0 - floor)
+        blown = (fraction[:, 1] - floor) / (1.0 - floor)
         encoded: npt.NDArray[np.float32] = np.column_stack([logarithmic, action_of(blown)]).astype(np.float32)
         return np.clip(encoded, -1.0, 1.0)
 
     def _air_floor(self, config: TaskConfig) -> float:
         range_ = config.air_supply_rates
-        return float(share_between(max(self.least_air_supply_rate, range_[0]), range_))
+        return float(fraction_between(max(self.least_air_supply_rate, range_[0]), range_))

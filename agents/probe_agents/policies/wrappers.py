@@ -1,7 +1,5 @@
 """Policies around a policy: a shield that maintains a margin of drive, a speed limit, a schedule for the withdrawal."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any, Final
 

@@ -1,7 +1,5 @@
 """Atomic writes: a file is either the old or the new one."""
 
-from __future__ import annotations
-
 import os
 import platform
 import re

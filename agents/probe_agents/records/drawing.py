@@ -3,8 +3,6 @@
 The import selects matplotlib's backend without a display.
 """
 
-from __future__ import annotations
-
 import io
 from collections.abc import Iterable
 from itertools import cycle

@@ -1,7 +1,5 @@
 """Writes ``manifest.json`` of a result: command, commit, versions, machine and hashes of its files."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

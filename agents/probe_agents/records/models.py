@@ -1,7 +1,5 @@
 """Models of stored JSON files, and their reader."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Final, TypeVar

@@ -1,7 +1,5 @@
 """Quantities of a log: columns of a clean file, headings and units of rigs, accepted ranges, ``--columns``."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping, Sequence
 from math import inf
@@ -96,7 +94,7 @@ _CAPITALS: Final = {"n": "N", "kn": "kN"}
 
 _CLOCK_FORM: Final = re.compile(r"[ymdhstj]+(?:[:./ -]+[ymdhstjf0]+)+", re.IGNORECASE)
 """Form of a time in a row of units: hh:mm:ss, TT.MM.JJJJ hh:mm:ss."""
-LONGEST_UNIT: Final = 40
+MAX_UNIT_LENGTH: Final = 40
 """Characters."""
 _SUPERSCRIPTS: Final = str.maketrans({"²": "2", "³": "3", "¹": "1", "⁻": "-", "·": "*", "⋅": "*", "μ": "µ"})
 _POWER: Final = re.compile(r"(?<=[A-Za-zµ])(?:\^|\*\*)?(-?[1-3])(?![\w^*])")
@@ -193,8 +191,8 @@ def si_factor(unit: str, quantity: Quantity) -> float:
     spell = f"write it like {quantity.unit}, --columns 'HEAD={quantity.name}[UNIT]'; if it is no such unit, {scale}"
     if re.match(r"[%‰°]|1/", text):
         raise ValueError(f"{unit!r} is not a unit of {quantity.name} - {scale}")
-    if len(text) > LONGEST_UNIT or not _SHAPE.fullmatch(text):
-        raise UnknownUnitError(f"{unit[:LONGEST_UNIT]!r} is not a unit - {spell}")
+    if len(text) > MAX_UNIT_LENGTH or not _SHAPE.fullmatch(text):
+        raise UnknownUnitError(f"{unit[:MAX_UNIT_LENGTH]!r} is not a unit - {spell}")
     import pint
 
     problems: list[Exception] = []
@@ -214,4 +212,4 @@ def looks_like_unit(cell: str) -> bool:
     text = cell.strip("[]() ").translate(_SUPERSCRIPTS)
     if _CLOCK_FORM.fullmatch(text):
         return True
-    return not text.isdigit() and re.fullmatch(rf"[A-Za-zµ°%/*^ \d-]{{0,{LONGEST_UNIT}}}\.?", text) is not None
+    return not text.isdigit() and re.fullmatch(rf"[A-Za-zµ°%/*^ \d-]{{0,{MAX_UNIT_LENGTH}}}\.?", text) is not None

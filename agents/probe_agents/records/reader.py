@@ -3,8 +3,6 @@
 ``_decoded`` or ``sheet_lines`` give lines, ``_table_of`` splits them, ``_convert`` converts the columns.
 """
 
-from __future__ import annotations
-
 import codecs
 import csv
 import math
@@ -51,7 +49,7 @@ from probe_agents.records.times import (
     matches,
     seconds,
 )
-from probe_agents.records.workbook import MOST_COLUMNS, OLD_EXCEL, ZIP, sheet_lines
+from probe_agents.records.workbook import MAX_COLUMNS, OLD_EXCEL, ZIP, sheet_lines
 from probe_env.arrays import FloatArray
 from probe_env.files import MEBI, FileError, open_regular, read_bytes
 from probe_env.schedule import (
@@ -67,13 +65,13 @@ from probe_env.schedule import (
 )
 
 IntArray = npt.NDArray[np.integer]
-MOST_BYTES: Final = 256 * MEBI
-MOST_ROWS: Final = 5_000_000
+MAX_BYTES: Final = 256 * MEBI
+MAX_ROWS: Final = 5_000_000
 HEAD_WITHIN: Final = 200
 """Number of non-empty lines within which the header must be."""
 HEADS_SHOWN: Final = 12
 _OPEN_QUOTE: Final = re.compile(r'(?:^|[;,\t|])\s*"[^"]*$')
-MOST_WRAPPED: Final = 5
+MAX_WRAPPED: Final = 5
 """Line breaks within the quotes of a cell."""
 
 SEPARATORS: Final = {";": "';'", "\t": "tabs", "|": "'|'", ",": "','", " ": "spaces"}
@@ -93,7 +91,7 @@ _MARKER: Final = re.compile(
     r"|-(?:999(?:\.9+)?|99\.9+|8888|888\.88|32768|2147483648)"
 )
 """Numbers that loggers write for a missing value; 2147483647 is that of 32 bits."""
-MOST_NUMBER: Final = 1e30
+MAX_NUMBER: Final = 1e30
 """Numbers from here on mark a missing value or an overload."""
 SHORTEST_STEP: Final = 5e-3
 """Mean step of a time without a unit [s]; a shorter one may be of hours."""
@@ -234,7 +232,7 @@ def _schedule_rows(path: Path) -> tuple[str, Sequence[Row]]:
 
 def _has_schedule_columns(path: Path) -> bool:
     """Whether the header of a file has the columns of ``Schedule.read``, separated by commas."""
-    with open_regular(path, MOST_BYTES) as file:
+    with open_regular(path, MAX_BYTES) as file:
         lines = file.read(1 << 16).decode("utf-8-sig", "replace").splitlines()
     header = next((line for line in lines if line.strip(" ,") and not line.startswith("#")), "")
     names = {name.strip() for name in header.split(",")}
@@ -374,13 +372,13 @@ def _blank_markers(values: FloatArray, declared: Sequence[float], suspect: bool)
         for number in (np.nanmin(values), np.nanmax(values)):
             at, size = values == number, np.abs(number)
             rest = values[~at & ~np.isnan(values)]
-            known = (len(rest) or number < 0.0) and (_MARKER.fullmatch(f"{number:.12g}") or size >= MOST_NUMBER)
+            known = (len(rest) or number < 0.0) and (_MARKER.fullmatch(f"{number:.12g}") or size >= MAX_NUMBER)
             low = (rest * np.sign(number)).max(initial=0.0) < 0.5 * size
             if known and (low or np.abs(rest - number).min() > np.ptp(rest)):
                 break
-            least = np.abs(rest[np.abs(rest) < 0.999 * size])  # without an overload of the other sign
-            if suspect and 1 < at.sum() <= len(least) and size > FAR * least.max(initial=0.0) > 0.0:
-                problem = f"{number:g} repeats, and no other value is larger than {least.max():g}"
+            minimum = np.abs(rest[np.abs(rest) < 0.999 * size])  # without an overload of the other sign
+            if suspect and 1 < at.sum() <= len(minimum) and size > FAR * minimum.max(initial=0.0) > 0.0:
+                problem = f"{number:g} repeats, and no other value is larger than {minimum.max():g}"
                 hint = f"if it marks an overload or a missing value, --missing={number:.9g}; else --missing=nan"
                 raise CellError(int(at.argmax()), f"{problem} - {hint}")
         else:
@@ -391,7 +389,7 @@ def _blank_markers(values: FloatArray, declared: Sequence[float], suspect: bool)
 
 
 def _read_table(path: Path, sheet: str | None, options: Sequence[ColumnOption]) -> Table:
-    content = read_bytes(path, MOST_BYTES)
+    content = read_bytes(path, MAX_BYTES)
     if content.startswith(OLD_EXCEL):
         raise FileError(path, "a workbook of Excel before 2007: save it as .xlsx or as CSV")
     if content.startswith(ZIP):
@@ -411,7 +409,7 @@ def _read_table(path: Path, sheet: str | None, options: Sequence[ColumnOption]) 
 def _unwrapped(lines: list[str]) -> list[str]:
     """Lines in which those of a quoted cell with line breaks are joined, and the others empty."""
     for k in [k for k, line in enumerate(lines) if '"' in line and _OPEN_QUOTE.search(line)]:
-        ends = [j for j, line in enumerate(lines[k + 1 : k + 1 + MOST_WRAPPED], k + 1) if line.count('"') % 2]
+        ends = [j for j, line in enumerate(lines[k + 1 : k + 1 + MAX_WRAPPED], k + 1) if line.count('"') % 2]
         if ends and lines[k].count('"') % 2:
             lines[k : ends[0] + 1] = [" ".join(lines[k : ends[0] + 1]), *[""] * (ends[0] - k)]
     return lines
@@ -465,8 +463,8 @@ def _decoded(path: Path, content: bytes) -> str:
 def _table_of(path: Path, lines: list[str], options: Sequence[ColumnOption], word: str) -> Table:
     """Make a table of lines of text, or of rows of a sheet with cells separated by tabs."""
     text = word == "line"
-    if len(lines) > MOST_ROWS:
-        raise FileError(path, f"{len(lines)} {word}s are more than the {MOST_ROWS} accepted in a log: cut it")
+    if len(lines) > MAX_ROWS:
+        raise FileError(path, f"{len(lines)} {word}s are more than the {MAX_ROWS} accepted in a log: cut it")
     filled = [k for k, line in enumerate(lines[: 10 * HEAD_WITHIN]) if line.strip()][:HEAD_WITHIN]
     if not any(map(str.strip, lines)):
         raise FileError(
@@ -474,7 +472,7 @@ def _table_of(path: Path, lines: list[str], options: Sequence[ColumnOption], wor
         )
     separators = tuple(SEPARATORS) if text else ("\t",)
     candidates = [
-        (k + 1, separator, _split(_uncommented(lines[k])[: 100 * MOST_COLUMNS], separator))
+        (k + 1, separator, _split(_uncommented(lines[k])[: 100 * MAX_COLUMNS], separator))
         for k in filled
         for separator in separators
         if separator != " " or max(map(lines[k].count, ";|,")) < 2  # a file of commas is not one of spaces
@@ -491,8 +489,8 @@ def _table_of(path: Path, lines: list[str], options: Sequence[ColumnOption], wor
         raise FileError(path, f"{word} {number}: {problem} - {hint}")
     head, separator, _ = best
     heads = _split(_uncommented(lines[head - 1]), separator)
-    if len(heads) > MOST_COLUMNS:
-        raise FileError(path, f"{word} {head}: {len(heads)} columns are more than {MOST_COLUMNS}")
+    if len(heads) > MAX_COLUMNS:
+        raise FileError(path, f"{word} {head}: {len(heads)} columns are more than {MAX_COLUMNS}")
     remarks = (line for line in lines[: head - 1] if line.startswith(CSV_COMMENT))
     steps = any(line.partition(":")[2].strip() == "steps" for line in remarks)
     body = lines[head:]
@@ -673,8 +671,10 @@ def _in_range(quantity: Quantity, values: FloatArray) -> FloatArray:
     wrong = (values < low - quantity.noise) | (values > high)
     if wrong.any():
         row, unit = int(wrong.argmax()), quantity.unit
-        value, least, most = (number / quantity.scale for number in (values[row], low, high))
-        problem = f"{quantity.name} = {value:.6g} {unit} is outside the accepted range {least:g} to {most:g} {unit}"
+        value, minimum, maximum = (number / quantity.scale for number in (values[row], low, high))
+        problem = (
+            f"{quantity.name} = {value:.6g} {unit} is outside the accepted range {minimum:g} to {maximum:g} {unit}"
+        )
         raise CellError(row, f"{problem} - is the unit right?")
     return np.asarray(np.where(values < low, low, values))
 

@@ -1,7 +1,5 @@
 """The folder of a result: identity, lock, journals and manifest of a command that can be interrupted and continued."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

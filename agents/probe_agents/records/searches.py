@@ -1,7 +1,5 @@
 """Opens the Optuna study of a search in an append-only journal file."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Sequence
 from pathlib import Path

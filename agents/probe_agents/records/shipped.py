@@ -3,8 +3,6 @@
 An installed package has them in ``probe_agents/shipped``, a checkout in ``configs`` and ``results``.
 """
 
-from __future__ import annotations
-
 import errno
 from pathlib import Path
 from typing import Final, Literal

@@ -1,7 +1,5 @@
 """A CSV table that grows row by row; interrupted work continues from it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path

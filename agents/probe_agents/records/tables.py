@@ -3,8 +3,6 @@
 Names stay text, also ``null``, ``1e5`` and ``NA``; numbers are read exactly.
 """
 
-from __future__ import annotations
-
 import csv
 import io
 import re

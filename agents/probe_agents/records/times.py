@@ -1,7 +1,5 @@
 """Cells of a column as seconds: timestamps, clock times across midnight, clock times with a date column."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from datetime import datetime
@@ -44,7 +42,7 @@ _EXAMPLES: Final = "2024-05-31T14:05:09.25, 31.05.2024 14:05:09, 5/31/2024 2:05:
 _FORM: Final = "if all are like that, name their form, --time-format '%d.%m.%y %H:%M:%S'"
 _LIKE: Final = f"is not a time like {_EXAMPLES} - correct it, or {_FORM}"
 _UNLIKE: Final = "is another form of time than {!r} above: correct it"
-_MOST_DATES: Final = 100
+_MAX_DATES: Final = 100
 """Different dates in a log; it lasts at most 1e5 s."""
 
 
@@ -203,7 +201,7 @@ def _offset(zone: str) -> float:
 def _days(dates: Any) -> FloatArray:
     """Days (rows,) of dates from any origin; NaN where a text is no date."""
     coded = pc.dictionary_encode(dates)
-    texts = coded.dictionary.to_pylist()[:_MOST_DATES]
+    texts = coded.dictionary.to_pylist()[:_MAX_DATES]
     orders = (
         np.array([_day(text, day_first, year_first) for text in texts])
         for day_first, year_first in product((False, True), repeat=2)

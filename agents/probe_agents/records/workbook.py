@@ -1,7 +1,5 @@
 """Sheets of Excel workbooks (.xlsx) as lines of text, bounded in memory and time before they are parsed."""
 
-from __future__ import annotations
-
 import io
 import re
 import warnings
@@ -17,24 +15,24 @@ import pandas as pd
 
 from probe_env.files import MEBI, FileError
 
-MOST_COLUMNS: Final = 256
+MAX_COLUMNS: Final = 256
 ZIP: Final = b"PK\x03\x04"
 OLD_EXCEL: Final = b"\xd0\xcf\x11\xe0"
-MOST_UNPACKED: Final = 512 * MEBI
-MOST_STRINGS: Final = 64 * MEBI
-MOST_PART: Final = 4 * MEBI
+MAX_UNPACKED: Final = 512 * MEBI
+MAX_STRINGS: Final = 64 * MEBI
+MAX_PART: Final = 4 * MEBI
 """Limit of parts that are parsed as a whole and of a row of a sheet; the parser needs 100 times as much memory."""
-MOST_SHEET_ROWS: Final = 1 << 20
+MAX_SHEET_ROWS: Final = 1 << 20
 _SHEETS: Final = "xl/worksheets/"
 _STRINGS: Final = "xl/sharedStrings.xml"
 _LARGE: Final = re.compile(rf"{_SHEETS}[^/]+$|{_STRINGS}$|xl/media/")
 _LARGE_KIND: Final = re.compile(r"\.(?:worksheet|sharedStrings)\+xml$|^image/")
 """Names and content types of parts that are not parsed as a whole."""
-_LONGEST_TAG: Final = 64
+_MAX_TAG: Final = 64
 _ROW: Final = re.compile(rb"<(?:!|(?:\w{1,32}:)?(?:row|si)\b)")
 """Begin of a row or shared text, or of a comment, in which they do not count."""
-MOST_TEXT: Final = 256 * MEBI
-MOST_EMPTY: Final = 10_000
+MAX_TEXT: Final = 256 * MEBI
+MAX_EMPTY: Final = 10_000
 """Limit of empty rows; a small file can hold millions."""
 
 
@@ -66,14 +64,14 @@ def _check_parts(path: Path, archive: zipfile.ZipFile) -> None:
     """Raise FileError for a workbook that would need a lot of memory or time; parts are not parsed for this."""
     parts = archive.infolist()
     unpacked = sum(part.file_size for part in parts)  # no more than the declared size is unpacked
-    if unpacked > MOST_UNPACKED:
+    if unpacked > MAX_UNPACKED:
         size = f"{len(parts)} parts of {unpacked} bytes unpacked"
         raise FileError(path, f"{size} are too large for a log: export it as CSV")
     for part in parts:
         name = part.filename
-        most = MOST_STRINGS if name == _STRINGS else MOST_UNPACKED if _LARGE.match(name) else MOST_PART
-        if part.file_size > most:
-            size = f"its part {name[:80]!r} has {part.file_size} bytes, more than the {most} accepted"
+        maximum = MAX_STRINGS if name == _STRINGS else MAX_UNPACKED if _LARGE.match(name) else MAX_PART
+        if part.file_size > maximum:
+            size = f"its part {name[:80]!r} has {part.file_size} bytes, more than the {maximum} accepted"
             raise FileError(path, f"{size}: copy the sheet to a new workbook, or export it as CSV")
     for entry in ElementTree.fromstring(archive.read("[Content_Types].xml")):
         name, kind = entry.get("PartName", "")[1:], entry.get("ContentType", "")
@@ -85,21 +83,21 @@ def _check_parts(path: Path, archive: zipfile.ZipFile) -> None:
 
 
 def _check_rows(path: Path, name: str, archive: zipfile.ZipFile) -> None:
-    """Raise FileError for more rows, or shared texts, than sheets have rows, or for one of over ``MOST_PART`` bytes."""
+    """Raise FileError for more rows, or shared texts, than sheets have rows, or for one of over ``MAX_PART`` bytes."""
     rows = offset = last = 0
     text = b""
     with archive.open(name) as file:
         while chunk := file.read(MEBI):
-            offset, text = offset + max(len(text) - _LONGEST_TAG, 0), text[-_LONGEST_TAG:] + chunk
-            found = [m for m in _ROW.finditer(text) if m.start() < len(text) - _LONGEST_TAG]  # others come again
+            offset, text = offset + max(len(text) - _MAX_TAG, 0), text[-_MAX_TAG:] + chunk
+            found = [m for m in _ROW.finditer(text) if m.start() < len(text) - _MAX_TAG]  # others come again
             starts = [last, *(offset + m.start() for m in found), offset + len(text)]
             rows, last = rows + len(found), starts[-2]
-            if rows > MOST_SHEET_ROWS:
-                raise FileError(path, f"{name} has more than {MOST_SHEET_ROWS} rows or texts: cut it")
+            if rows > MAX_SHEET_ROWS:
+                raise FileError(path, f"{name} has more than {MAX_SHEET_ROWS} rows or texts: cut it")
             if any(m[0] == b"<!" for m in found):
                 raise FileError(path, f"not an Excel workbook that can be read: {name} has comments: save it again")
-            if np.diff(starts).max() > MOST_PART:
-                raise FileError(path, f"{name} has a row of more than {MOST_PART} bytes: export the sheet as CSV")
+            if np.diff(starts).max() > MAX_PART:
+                raise FileError(path, f"{name} has a row of more than {MAX_PART} bytes: export the sheet as CSV")
 
 
 def _sheet_text(value: Any) -> str:
@@ -117,11 +115,11 @@ def _joined(path: Path, rows: Iterable[Sequence[Any]]) -> list[str]:
             cells.pop()
         empty += not cells
         size += sum(map(len, cells))
-        if empty > MOST_EMPTY:
-            raise FileError(path, f"row {number}: more empty rows than accepted ({MOST_EMPTY}): cut the sheet")
-        if len(cells) > MOST_COLUMNS:
-            raise FileError(path, f"row {number}: more than {MOST_COLUMNS} columns")
-        if size > MOST_TEXT:
+        if empty > MAX_EMPTY:
+            raise FileError(path, f"row {number}: more empty rows than accepted ({MAX_EMPTY}): cut the sheet")
+        if len(cells) > MAX_COLUMNS:
+            raise FileError(path, f"row {number}: more than {MAX_COLUMNS} columns")
+        if size > MAX_TEXT:
             raise FileError(path, f"row {number}: the sheet is too large for a log: cut it")
         lines.append("\t".join(cells))
     return lines

@@ -1,7 +1,5 @@
 """Built-in studies: claims of the published study, accuracy and cost, stability, predictability, shipped data."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from importlib import import_module
 from pathlib import Path

@@ -4,8 +4,6 @@ Where the probe vibrates trajectories diverge, so statistics of runs with a star
 ratios of means to a reference with 95 % bootstrap intervals. All runs of a setting share a batch.
 """
 
-from __future__ import annotations
-
 import time
 import warnings
 from collections.abc import Iterator, Mapping
@@ -115,11 +113,7 @@ class Insertion(Run):
     last_row = (END - SEGMENT,)
 
     def rows(self, end: float = END) -> list[dict[str, Any]]:
-        """One row per segment of length and member.
-
-        Raises:
-            RuntimeError: a probe diverged.
-        """
+        """One row per segment of length and member."""
         scenes = [Scene(carrier_length=START - 2.5, feed_speed=FEED_SPEED)] * self.members
         options = {"growing": True, "time_lapse": self.time_lapse, "perturbation": PERTURBATION}
         batch = SimulatorBatch(scenes, self.method, self.time_step, self.nodes_per_pitch, **options)  # type: ignore[arg-type]
@@ -221,7 +215,7 @@ PITCH_SECONDS = float((_SEGMENTS / 0.1).sum() * SEGMENT / FEED_SPEED)
 TIMED_NODES = {"imex": (1, 2, 4, 8, 16), "imex32": (4, 8, 16)}
 """Nodes per pitch that are timed; 4 for other methods."""
 TIMED_LENGTHS = (10.0, 30.0, 40.0, 50.0)  # [m]
-LONGEST_TIMED = 1e-4  # [s], time step
+MAX_TIMED = 1e-4  # [s], time step
 REPEATS = 5
 COST_COLUMNS: Columns = {
     "method": "text", "nodes_per_pitch": "count", "carrier_length_m": "number", "ns_per_node_step": "number",
@@ -237,7 +231,7 @@ def run_costs(output: Path) -> None:
     rows = []
     for method, nodes, length in tqdm(cells, desc="costs", unit="setting"):
         kind = METHODS[method]
-        setting = Setting(method, min(kind.usual_step, LONGEST_TIMED), nodes, length)
+        setting = Setting(method, min(kind.usual_step, MAX_TIMED), nodes, length)
         batch, steps, seconds = setting.batch(kind.width, threads=1), 4000 if kind.width > 1 else 500, []
         for _ in range(1 + REPEATS):  # the first is a warm-up
             begin = time.process_time()

@@ -4,8 +4,6 @@ Where the probe vibrates, its motion is chaotic: a claim is tested on statistics
 0.1 um. Member 0 has the study's start.
 """
 
-from __future__ import annotations
-
 import itertools
 import warnings
 from collections.abc import Callable, Iterator, Sequence
@@ -214,7 +212,7 @@ GROWTH: Final = (10, 20, 30, 40, 50, 55)
 """[m] carrier lengths of the study's figure 11 and 12."""
 NOTICEABLE: Final = 0.1
 """Share of the insertion's highest peak from which a peak of the withdrawal is noticeable: -20 dB."""
-LEAST_PEAK: Final = 1e-6
+MIN_PEAK: Final = 1e-6
 """Minimum amplitude of a noticeable peak [m]: a hundredth of the vibration limit."""
 TUBE_BORE: Final = 24.2e-3  # [m]
 
@@ -357,8 +355,8 @@ def _return(e: Ensemble) -> Iterator[Claim]:
 
 def _not_noticeable(e: Ensemble, withdrawals: list[str], statistic: str) -> Test:
     peaks = np.array([e.mean(name, statistic) for name in withdrawals])
-    shares = peaks / [e.mean(insertion_of(name), statistic) for name in withdrawals]
-    noticeable = ((shares >= NOTICEABLE) & (peaks >= LEAST_PEAK)).any()
+    fractions = peaks / [e.mean(insertion_of(name), statistic) for name in withdrawals]
+    noticeable = ((fractions >= NOTICEABLE) & (peaks >= MIN_PEAK)).any()
     return lambda *_: UNCLEAR if noticeable else YES
 
 

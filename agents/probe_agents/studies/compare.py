@@ -1,7 +1,5 @@
 """Compares the rows of a study: means, intervals and paired differences over tubes, as CSV, table and figure."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
@@ -20,9 +18,9 @@ from probe_agents.evaluation.statistics import (
     by_context,
     curves_by_tube,
     difference_of_a90,
+    fraction_of_lead,
     mean_interval,
     paired_difference,
-    share_of_lead,
     short,
 )
 from probe_agents.records.atomic import write_atomically
@@ -33,7 +31,7 @@ from probe_agents.studies.spec import Changes, Study
 from probe_agents.terminal.tables import print_table
 from probe_env.inspection.metrics import POD_NAMES
 
-LINEAR_SHARE: Final = 0.02
+LINEAR_FRACTION: Final = 0.02
 """Ratio of median to largest difference below which the axis is logarithmic."""
 
 
@@ -44,9 +42,6 @@ def compare(study: Study, settings: Sequence[Setting], episodes: pd.DataFrame) -
     the best), baseline, difference, difference_low and difference_high. ``a90_95_percent_wall`` has no interval; its
     difference is that of a90; both are NaN in the surrogate, which has no signal. With ``compare.upper`` also
     share_of_lead, share_low and share_high of the reward.
-
-    Raises:
-        ValueError: a metric is not in the episodes; see ``baselines``.
     """
     columns, metrics, upper = key_columns(settings), study.compare.metrics, study.compare.upper
     parts = episodes.groupby(columns, sort=False, dropna=False)
@@ -80,8 +75,8 @@ def compare(study: Study, settings: Sequence[Setting], episodes: pd.DataFrame) -
             changes = {"rank": None, "baseline": label, "difference": change.mean}
             changes |= {"difference_low": change.low, "difference_high": change.high}
             if upper and metric == "reward":
-                share = share_of_lead(labelled, name, names[_replaced(columns, key, upper, groups)], other)
-                changes |= {"share_of_lead": share.mean, "share_low": share.low, "share_high": share.high}
+                fraction = fraction_of_lead(labelled, name, names[_replaced(columns, key, upper, groups)], other)
+                changes |= {"share_of_lead": fraction.mean, "share_low": fraction.low, "share_high": fraction.high}
             rows.append(row | changes)
     table = pd.DataFrame(rows)
     settings_columns = [column for column in columns if not column.startswith("policy")]
@@ -94,11 +89,7 @@ def compare(study: Study, settings: Sequence[Setting], episodes: pd.DataFrame) -
 
 
 def baselines(study: Study, settings: Sequence[Setting]) -> list[Changes]:
-    """The baselines: columns and values.
-
-    Raises:
-        ValueError: a baseline or upper bound is not a row of the study.
-    """
+    """The baselines: columns and values."""
     chosen = list(study.compare.baseline)
     if not chosen:
         first = settings[0]
@@ -199,8 +190,8 @@ def _cell(row: Mapping[Any, Any]) -> str:
         return mean
     low, high = short(factor * change.low), short(factor * change.high)
     ends = "" if math.isnan(change.low) else f" [{low}, {high}]"
-    share = row.get("share_of_lead")
-    lead = "" if share is None or share != share else f", {100.0 * share:.0f} % of the lead"
+    fraction = row.get("share_of_lead")
+    lead = "" if fraction is None or fraction != fraction else f", {100.0 * fraction:.0f} % of the lead"
     return f"{mean} ({short(factor * change.mean, '+')}{ends}{lead})"
 
 
@@ -216,8 +207,8 @@ def _forest(study: Study, table: pd.DataFrame, columns: Sequence[str], path: Pat
             axis.plot([low, high], [y, y], color=BLUE, linewidth=1.5)
             axis.plot([mean], [y], "o", color=BLUE, markersize=4)
         sizes = np.abs(values[:, 0][values[:, 0] != 0.0])
-        if len(sizes) and np.median(sizes) < LINEAR_SHARE * sizes.max():
-            axis.set_xscale("symlog", linthresh=float(max(np.median(sizes), LINEAR_SHARE**2 * sizes.max())))
+        if len(sizes) and np.median(sizes) < LINEAR_FRACTION * sizes.max():
+            axis.set_xscale("symlog", linthresh=float(max(np.median(sizes), LINEAR_FRACTION**2 * sizes.max())))
         axis.axvline(0.0, color=GREY, linewidth=0.8)
         axis.set_title(f"minus {escape_dollars(str(rows['baseline'].iloc[0]))}", fontsize="medium")
         names = [", ".join(filter(None, map(_text, row))) for row in rows[list(columns)].itertuples(index=False)]

@@ -7,8 +7,6 @@ the separation of independent runs. Rounding leaves about 1e-13 m, far below the
 ln 2 / rate.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import asdict, astuple, dataclass
 from itertools import product
@@ -39,9 +37,9 @@ CLEAR: Final = 10.0
 """Ratio of the window's ends to the perturbation and to the saturation."""
 DECAYED: Final = 1e-3
 """Separation over perturbation below which a perturbation has died out."""
-LEAST_R2: Final = 0.7
+MIN_R2: Final = 0.7
 """Mean coefficient of determination of the fits, below which no doubling time is given."""
-LEAST_SAMPLES: Final = 5
+MIN_SAMPLES: Final = 5
 """Samples in a window, below which it holds a jump and the growth is irregular."""
 UNKNOWN: Final = Interval(*(math.nan,) * 3)
 LENGTHS, FRICTIONS, AIRS = (10.0, 20.0, 30.0, 40.0, 50.0, 60.0), (0.1, 0.15, 0.25), (40.0, 63.0, 100.0)
@@ -111,7 +109,7 @@ def growth(times: FloatArray, separations: FloatArray, saturation: float, pertur
         result ("grows", "irregular", "decays"), number of separated pairs, mean time until they separate to a tenth of
         the saturation, mean rate, doubling time, each with its 95 % interval, mean r2 of the fits, saturation and the
         largest separation at the end. Rate and doubling time are given only for "grows": all pairs separate, and mean
-        r2 is at least ``LEAST_R2``.
+        r2 is at least ``MIN_R2``.
     """
     low, high = CLEAR * perturbation, saturation / CLEAR
     rates, r2, waits = [], [], []
@@ -122,14 +120,14 @@ def growth(times: FloatArray, separations: FloatArray, saturation: float, pertur
         below = np.flatnonzero(values[: above[0]] < low)
         window = slice(int(below[-1]) + 1 if len(below) else 0, int(above[0]) + 1)
         slope, r = math.nan, math.nan
-        if len(times[window]) >= LEAST_SAMPLES:
+        if len(times[window]) >= MIN_SAMPLES:
             slope, _, r, *_ = linregress(times[window], np.log(values[window]))
         rates.append(slope)
         r2.append(r**2)
         waits.append(times[above[0]])
     last = float(separations[-1].max())
     result = "decays" if not rates and last < DECAYED * perturbation else "irregular"
-    if len(rates) == separations.shape[1] and np.mean(r2) >= LEAST_R2:
+    if len(rates) == separations.shape[1] and np.mean(r2) >= MIN_R2:
         result = "grows"
     row: dict[str, Any] = {"result": result, "separated": len(rates)}
     wait = mean_interval(np.array(waits)) if waits else UNKNOWN

@@ -3,8 +3,6 @@
 ``python -m probe_agents.studies.readme`` prints its tables from the stored results; a test compares them.
 """
 
-from __future__ import annotations
-
 import json
 import multiprocessing
 import time

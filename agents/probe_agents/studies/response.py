@@ -1,7 +1,5 @@
 """Fits the calibration response to insertions with random feed and air in random tubes, with cross-validation."""
 
-from __future__ import annotations
-
 import io
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -15,7 +13,7 @@ import numpy as np
 from scipy.stats import qmc
 
 from probe_agents.evaluation.workers import HERE, Workers
-from probe_agents.plant.inference import LEAST_METRES
+from probe_agents.plant.inference import MIN_METRES
 from probe_agents.plant.logs import Log
 from probe_agents.plant.prior import FRICTION, STIFFNESS
 from probe_agents.plant.response import CHANNELS, INPUTS, Metres, Response, inputs_of, metres_of, observed
@@ -101,7 +99,7 @@ class Specimen(NamedTuple):
 def tubes_of(group: int) -> tuple[Plant, list[Specimen]]:
     """Plant and specimens of a group, from a Sobol sequence over the ranges."""
     spread = qmc.Sobol(5, rng=np.random.default_rng(SEED))
-    shares = spread.fast_forward(group * SIZE).random(SIZE) if group else spread.random(SIZE)
+    fractions = spread.fast_forward(group * SIZE).random(SIZE) if group else spread.random(SIZE)
     bore = float(value_at(qmc.Halton(1, scramble=False).fast_forward(group + 1).random(1)[0, 0], BORES))
     plant = Plant(
         tube=Tubes(inner_diameter=round(bore, 6), helix_length=LENGTHS[group % len(LENGTHS)]),
@@ -113,18 +111,18 @@ def tubes_of(group: int) -> tuple[Plant, list[Specimen]]:
         tube |= {"drag_factor": value_at(np.asarray(c), DRAG_FACTORS), "helix_diameter": _geometric(DIAMETERS, d)}
         return Specimen(Context(**{name: float(v) for name, v in tube.items()}), float(_geometric(DAMPING, e)))
 
-    return plant, [specimen(*row) for row in shares]
+    return plant, [specimen(*row) for row in fractions]
 
 
 def wandering(group: int) -> Program:
     """Random feed and air at every ``SEGMENT``, linear in between; slow feeds are rarer, as they take longer."""
     knots = np.arange(0.0, max(LENGTHS) + SEGMENT, SEGMENT)
-    shares = np.random.default_rng([SEED, group]).random((2, SIZE, len(knots)))
+    fractions = np.random.default_rng([SEED, group]).random((2, SIZE, len(knots)))
 
     def program(length: FloatArray) -> tuple[FloatArray, FloatArray]:
         feed, air = (
-            np.array([np.interp(position, knots, row) for position, row in zip(length, share, strict=True)])
-            for share in shares
+            np.array([np.interp(position, knots, row) for position, row in zip(length, fraction, strict=True)])
+            for fraction in fractions
         )
         return _geometric(FEEDS, feed**0.7), value_at(air, AIRS)
 
@@ -196,8 +194,8 @@ def make_bank(groups: int, output: Path) -> Iterator[dict[str, FloatArray]]:
         yield read_arrays(file, lambda _: "f")
 
 
-def _geometric(range_: tuple[float, float], share: FloatArray | float) -> FloatArray:
-    return np.asarray(range_[0] * (range_[1] / range_[0]) ** share)
+def _geometric(range_: tuple[float, float], fraction: FloatArray | float) -> FloatArray:
+    return np.asarray(range_[0] * (range_[1] / range_[0]) ** fraction)
 
 
 def learning_rows(bank: Bank) -> tuple[FloatArray, FloatArray]:
@@ -249,7 +247,7 @@ def fit_response(bank: Bank, seed: int = 0) -> tuple[Response, dict[str, float]]
     misfits = [
         response.misfit_of(residuals[rows], bank["length"][rows], _ALL)
         for rows in (np.flatnonzero(number == specimen) for specimen in np.unique(number))
-        if len(rows) >= LEAST_METRES
+        if len(rows) >= MIN_METRES
     ]
     return replace(response, misfit=np.quantile(misfits, RARE, axis=0)), quality
 

@@ -1,7 +1,5 @@
 """Runs a study: a plan for every setting, and one table of episodes with a column for every varied field."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import re

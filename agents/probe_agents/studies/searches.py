@@ -4,8 +4,6 @@ Searches on the vibration map are deterministic and take minutes; an interrupted
 are stored and not run again.
 """
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -25,7 +23,7 @@ from probe_agents.evaluation.workers import HERE, Workers
 from probe_agents.plant.recommendation import safe_air
 from probe_agents.policies.cases import EvaluationCase, load_case, map_of, plant_at, read_case
 from probe_agents.policies.fixed import STUDY_AIR, FixedPolicy, Scheduled
-from probe_agents.policies.on_map import FIRST, least_air
+from probe_agents.policies.on_map import FIRST, min_air
 from probe_agents.policies.plc_law import Constants, PlcIntegral, PlcProportional, Trim
 from probe_agents.policies.policy import Policy
 from probe_agents.policies.wrappers import RoundTripPolicy, insertion_task
@@ -114,7 +112,7 @@ class Family:
         """The schedule of a point of the search space."""
         low, high = np.log(feeds(config))
         feed = np.exp(value_at(np.array(x[: len(self.knots)]), (low, high)))
-        air = value_at(np.array(x[len(self.knots) :]), (least_air(config), config.air_supply_rates[1]))
+        air = value_at(np.array(x[len(self.knots) :]), (min_air(config), config.air_supply_rates[1]))
         ratio = (config.scene.tube.helix_length - FIRST) / (KNOTS[-1] - FIRST)
         knots, air_knots = ([FIRST + (knot - FIRST) * ratio for knot in part] for part in (self.knots, self.air_knots))
         lengths = sorted({*knots, *air_knots})
@@ -222,10 +220,10 @@ Space = Mapping[str, tuple[float, float]]  # column of ``COLUMNS`` -> search ran
 
 def ranges(config: TaskConfig, tubes: Sequence[Context]) -> Space:
     """Search ranges, with air that is safe in all tubes, see ``safe_air``."""
-    least, most = (3600.0 * air for air in config.air_supply_rates)
+    minimum, maximum = (3600.0 * air for air in config.air_supply_rates)
     feeds = max(SLOWEST * config.feed_speeds[1], config.feed_speeds[0]), config.feed_speeds[1]
     air_in, air_back = safe_air(config, tubes, feeds)
-    return dict(zip(COLUMNS, (feeds, (air_in, most), feeds, (least, air_back)), strict=True))
+    return dict(zip(COLUMNS, (feeds, (air_in, maximum), feeds, (minimum, air_back)), strict=True))
 
 
 def starts(config: TaskConfig, space: Space) -> list[Numbers]:

@@ -4,8 +4,6 @@ The error is the maximum error of one displacement over its maximum value. The c
 simulated second, and the number of sweeps over the chain, which does not depend on the machine.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
@@ -38,7 +36,7 @@ SMOOTH_KEYS = ("scene", "method", "time_step_s")
 COLUMNS = (*SMOOTH_KEYS, "error", "cpu_s", "sweeps")
 REFERENCE_ROWS = "references"
 """Value of the column ``method`` for the difference of the two references."""
-LEAST_TIMED = 0.2  # [s] of processor time, repeats included
+MIN_TIMED = 0.2  # [s] of processor time, repeats included
 RESOLVED = 10.0  # errors below this multiple of the references' difference are not evaluated
 ROUNDING = 1e-8  # errors below it are rounding
 
@@ -141,11 +139,11 @@ def cases() -> dict[str, Case]:
 def integrate(case: Case, method: str, time_step: float) -> tuple[FloatArray | None, float, float]:
     """Observed displacement (k,) [m] (None: diverged), processor time [s] and sweeps per simulated second.
 
-    The run is repeated for ``LEAST_TIMED`` of processor time; the minimum is returned.
+    The run is repeated for ``MIN_TIMED`` of processor time; the minimum is returned.
     """
     steps, every = round(case.duration / time_step), round(case.sample_period / time_step)
     used, fastest = 0.0, float("inf")
-    while used < LEAST_TIMED:
+    while used < MIN_TIMED:
         start = case.start(method, time_step)
         run = run_chain(method, case.driven, time_step, start, steps, every, case.point[0])
         if not run.stable:
@@ -195,9 +193,9 @@ def resolved(table: pd.DataFrame, scene: str) -> pd.DataFrame:
     """Rows of a scene with an error well above the difference of its references, diverged runs included."""
     rows = table[table["scene"] == scene]
     difference = rows.loc[rows["method"] == REFERENCE_ROWS, "error"]
-    least = RESOLVED * float(difference.iloc[0]) if len(difference) else 0.0
+    minimum = RESOLVED * float(difference.iloc[0]) if len(difference) else 0.0
     of_methods = rows[rows["method"] != REFERENCE_ROWS]
-    return of_methods[of_methods["error"].isna() | (of_methods["error"] >= least)]
+    return of_methods[of_methods["error"].isna() | (of_methods["error"] >= minimum)]
 
 
 def orders(table: pd.DataFrame) -> pd.DataFrame:
@@ -210,7 +208,7 @@ def orders(table: pd.DataFrame) -> pd.DataFrame:
     for scene, method in product(cases(), methods.ON_NODES):
         part, order = resolved(table, scene), float("nan")
         part = part[(part["method"] == method) & part["error"].notna()].sort_values("time_step_s")
-        if methods.METHODS[method].least_step > 0.0:
+        if methods.METHODS[method].min_step > 0.0:
             part = part.nsmallest(1, "error")
         else:
             part = part[part["error"] > ROUNDING].head(4)

@@ -2,15 +2,13 @@
 
 Map: steps are multiples of ``Simulator.stable_time_step``; for ``implicit``, which has no limit, of Newmark's. A stable
 step is wrong if the bounces of one mass off a contact spring gain or lose more than 5 % of critical damping (not for
-superelements). Steps below a method's ``least_step`` are not run.
+superelements). Steps below a method's ``min_step`` are not run.
 
 One mass on an elastic element or on a contact spring: the step is linear, so steps from unit vectors give the
 amplification matrix. Bounces between two walls show the effect of the contact flag, which is that of the step before.
 
 Passive chains: energy after 100,000 steps.
 """
-
-from __future__ import annotations
 
 import math
 import warnings
@@ -94,7 +92,7 @@ def run(output: Path, workers: Workers = HERE) -> pd.DataFrame:
 def cells() -> list[Cell]:
     """Method, contact stiffness [N/m], length [m], friction and step over the stability limit of all runs."""
     every = product(METHODS, STIFFNESSES, LENGTHS, FRICTIONS, RATIOS)
-    return [cell for cell in every if _scene_and_step(*cell)[1] >= METHODS[cell[0]].least_step]
+    return [cell for cell in every if _scene_and_step(*cell)[1] >= METHODS[cell[0]].min_step]
 
 
 def _scene_and_step(method: str, stiffness: float, length: float, friction: float, ratio: float) -> tuple[Scene, float]:
@@ -247,7 +245,7 @@ def bounce(method: str, omega_dt: float) -> tuple[float, float]:
 
 def run_one_mass() -> pd.DataFrame:
     """Rows of method, spring, omega_dt, spectral_radius, damping, period_error, restitution, bounce_damping."""
-    names = [name for name, method in ON_NODES.items() if method.least_step == 0.0]  # rounding does not show
+    names = [name for name, method in ON_NODES.items() if method.min_step == 0.0]  # rounding does not show
     rows = []
     for method, omega_dt in product(names, OMEGA_DT):
         restitution, bounce_damping = bounce(method, omega_dt)

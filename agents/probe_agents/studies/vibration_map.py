@@ -1,7 +1,5 @@
 """Fits the vibration map of a plant, a small network, to insertions with random feed and air."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import dataclass
 from importlib import import_module
@@ -37,7 +35,7 @@ SMEARED: Final = {"displacement": 0.0, "snr": 3.0}
 EPOCHS, BATCH, HIDDEN = 300, 512, 64
 HELD_OUT: Final = 12
 """Number of test tubes, the first of the training list: two of each helix diameter."""
-LEAST_SPREAD: Final = 0.05
+MIN_SPREAD: Final = 0.05
 """Minimum standard deviation of an input, for inputs that do not vary."""
 
 
@@ -51,13 +49,13 @@ class Wandering(FixedPolicy):
     def targets(self, measured: dict[str, FloatArray], memory: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Feed is uniform in its logarithm, air is uniform. Memory: the first noise."""
         memory[:, 0] = np.where(memory[:, 0] > 0.0, memory[:, 0], measured["rf_noise"])
-        shares, segment = np.empty((2, len(memory))), SEGMENT[self.config.vibration_measure]
+        fractions, segment = np.empty((2, len(memory))), SEGMENT[self.config.vibration_measure]
         for k, (first, length) in enumerate(zip(memory[:, 0], measured["inserted_length"], strict=True)):
             entropy = [self.seed, int(np.float64(first).view(np.uint64)), int(length / segment)]
-            shares[:, k] = np.random.default_rng(entropy).uniform(size=2)
+            fractions[:, k] = np.random.default_rng(entropy).uniform(size=2)
         slow, fast = feeds(self.config)[0], self.config.feed_speeds[1]
-        feed = slow * (fast / slow) ** shares[0]
-        return feed, value_at(shares[1], self.config.air_supply_rates)
+        feed = slow * (fast / slow) ** fractions[0]
+        return feed, value_at(fractions[1], self.config.air_supply_rates)
 
 
 def fit_map(
@@ -82,7 +80,7 @@ def fit_map(
     tubes = profile[list(CONTEXT)].to_numpy(float)
     inputs, scaling = features_of(length, feed, air, tubes), None
     if scene is not None:
-        scaling = np.array([inputs.mean(axis=0), np.maximum(inputs.std(axis=0), LEAST_SPREAD)])
+        scaling = np.array([inputs.mean(axis=0), np.maximum(inputs.std(axis=0), MIN_SPREAD)])
         inputs = (inputs - scaling[0]) / scaling[1]
     logarithm = np.log10(np.maximum(profile[PROFILED[measure]].to_numpy(float), 1e-7) / 1e-4)
     held_out = profile["context"].to_numpy() < HELD_OUT

@@ -1,7 +1,5 @@
 """Messages in the terminal and the app: errors in one line, compilation."""
 
-from __future__ import annotations
-
 import os
 import sys
 from collections.abc import Iterator

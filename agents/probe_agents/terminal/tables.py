@@ -1,7 +1,5 @@
 """Tables that fit the terminal: columns without room continue in a table below, with the names repeated."""
 
-from __future__ import annotations
-
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Final, Literal
@@ -69,10 +67,10 @@ def parts_of(
     text_columns = {k: min(natural[k], width // 3) for k in range(left)}
     parts: list[dict[int, int]] = []
     for k in range(left, len(header)):
-        least = max(widest[k], *map(cell_len, header[k].split() or [""]))  # a header is folded
-        if not parts or sum(parts[-1].values()) + least + FRAME * (len(parts[-1]) + 1) >= width:
+        minimum = max(widest[k], *map(cell_len, header[k].split() or [""]))  # a header is folded
+        if not parts or sum(parts[-1].values()) + minimum + FRAME * (len(parts[-1]) + 1) >= width:
             parts.append(dict(text_columns))
-        parts[-1][k] = least
+        parts[-1][k] = minimum
     for part in parts:
         for k in part:  # headers unfolded where there is room
             room = width - 1 - sum(part.values()) - FRAME * len(part)

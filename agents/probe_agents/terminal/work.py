@@ -3,8 +3,6 @@
 Standard library only: an interrupt can come before packages are loaded.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -35,11 +33,11 @@ class Work:
     def remaining_text(self) -> str:
         """Number of units to do, and their time if it is more than a minute; empty if none."""
         left = self.total - self.stored()
-        share = _count(left, self.unit) if left == self.total else f"{left} of {_count(self.total, self.unit)}"
+        fraction = _count(left, self.unit) if left == self.total else f"{left} of {_count(self.total, self.unit)}"
         minutes = left * self.seconds / 60.0
         about = f"about {minutes:.0f} min" if minutes < 100.0 else f"about {minutes / 60.0:.0f} h"
         time = f", {about}" if minutes > 1.0 else ""
-        return f"{share} to do{time}, stored in {_escaped(self.folder)} one by one" if left > 0 else ""
+        return f"{fraction} to do{time}, stored in {_escaped(self.folder)} one by one" if left > 0 else ""
 
     def stored_text(self) -> str:
         """Number of stored units, and how to continue."""

@@ -1,7 +1,5 @@
 """Training file (TOML) with all settings of a run, validated before it starts."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from functools import cached_property

@@ -4,8 +4,6 @@ The seed of a run and the number of a phase determine all random numbers of the 
 An interrupted run therefore continues from its last checkpoint to the same weights.
 """
 
-from __future__ import annotations
-
 import hashlib
 import io
 import time
@@ -46,7 +44,7 @@ from probe_env.files import MEBI, FileError, one_line, read_bytes
 RUN, CHECKPOINT, BEST, CURVE = "run.json", "checkpoint.pt", "agent.safetensors", "learning.csv"
 DIGEST: Final = 32
 """Bytes of the SHA-256 at the start of a checkpoint."""
-MOST_CHECKPOINT: Final = 1024 * MEBI
+MAX_CHECKPOINT: Final = 1024 * MEBI
 VALIDATED: Final = ("inspection_time_s", "share_within_limit", "diverged")
 """Columns of the learning curve, next to the reward."""
 MINIBATCH: Final = 256
@@ -335,7 +333,7 @@ def restore(model: PPO, path: Path) -> list[dict[str, Any]]:
     if not path.exists():
         return []
     try:
-        content = read_bytes(path, MOST_CHECKPOINT)
+        content = read_bytes(path, MAX_CHECKPOINT)
         if hashlib.sha256(content[DIGEST:]).digest() != content[:DIGEST]:
             raise ValueError("its checksum does not fit: it was changed or cut off")
         state = torch.load(io.BytesIO(content[DIGEST:]), weights_only=True, map_location="cpu")

@@ -4,8 +4,6 @@ A trial is a training with fewer phases; its value is the best validation reward
 the sampler is seeded by the number of finished trials, so an interrupted search continues to the same result.
 """
 
-from __future__ import annotations
-
 import inspect
 import json
 import warnings

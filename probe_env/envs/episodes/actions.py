@@ -1,7 +1,5 @@
 """Actions of the environments: targets or changes of them, applied for one or more control periods."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any, Final
 

@@ -1,7 +1,5 @@
 """Backends of episodes: what advances N probes by a control period, by simulation or by prediction."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

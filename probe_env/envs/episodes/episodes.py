@@ -139,11 +139,7 @@ class Episodes:
         return self.backend.helix_length
 
     def simulated(self) -> Simulated:
-        """The backend, if it simulates.
-
-        Raises:
-            ValueError: it predicts.
-        """
+        """The backend, if it simulates."""
         if not isinstance(self.backend, Simulated):
             raise ValueError("fidelity = 'surrogate' simulates no motion, which is needed here: use fast or finer")
         return self.backend

@@ -12,8 +12,6 @@ the cable explicitly, so that high drag needs a short step. Three are of the mod
   has sunk in, so that the start is bounded without it.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Final, NamedTuple
 
@@ -25,7 +23,7 @@ from probe_env.physics.model.chain import air_speed
 from probe_env.scene import Probe, Scene
 from probe_env.settings import whole_steps
 
-MOST_TURN: Final = 1.0  # [rad]
+MAX_TURN: Final = 1.0  # [rad]
 REMEDY: Final = "use a stiffer contact, less drag or a wider helix"
 SHORTEST_STEP: Final = 1e-7  # [s], of a fidelity
 PULL_LIMIT: Final = 0.0125
@@ -55,18 +53,18 @@ def check_fidelity(fidelity: Fidelity, config: TaskConfig) -> None:
 
 def check_start(scene: Scene, fidelity: Fidelity, config: TaskConfig) -> None:
     """Raise ValueError if an episode of a task cannot begin in a scene, as ``EpisodeSampler.build`` makes it."""
-    longest = scene.tube.helix_length if config.growing else scene.inserted_length
-    check_simulable(scene, fidelity, longest, config.air_supply_rates[1])
+    max_length = scene.tube.helix_length if config.growing else scene.inserted_length
+    check_simulable(scene, fidelity, max_length, config.air_supply_rates[1])
 
 
-def check_simulable(scene: Scene, fidelity: Fidelity, longest: float, most_air: float) -> None:
+def check_simulable(scene: Scene, fidelity: Fidelity, max_length: float, max_air: float) -> None:
     """Raise ValueError if a fidelity cannot simulate an episode that begins at rest in a scene.
 
-    ``longest`` is the inserted length at its end [m], ``most_air`` the greatest air supply [m3/s].
+    ``max_length`` is the inserted length at its end [m], ``max_air`` the greatest air supply [m3/s].
     """
     stiffness, diameter, probe = scene.contact.stiffness, scene.tube.helix_diameter, scene.probe
     try:
-        limit = _longest_step(fidelity.simulated_method, scene, fidelity.nodes_per_pitch)
+        limit = _max_step(fidelity.simulated_method, scene, fidelity.nodes_per_pitch)
     except ValueError as error:
         raise ValueError(
             f"contact_stiffness = {stiffness:g} N/m: {error}: give fidelity = {_stable_settings(fidelity, scene)}"
@@ -85,21 +83,22 @@ def check_simulable(scene: Scene, fidelity: Fidelity, longest: float, most_air: 
         )
     clearance = scene.tube.clear_diameter - max(probe.guide_float_diameter, probe.carrier_float_diameter)
     start = steady_sliding(scene, scene.inserted_length, scene.air_supply_rate, friction=0.0)
-    end = steady_sliding(scene, longest, most_air, scene.contact.friction)
+    end = steady_sliding(scene, max_length, max_air, scene.contact.friction)
     tube = (
         f"helix_diameter = {diameter:g} m with contact_stiffness = {stiffness:g} N/m and a drag coefficient of"
         f" {scene.air.drag_coefficient:g}"
     )
     if end.depth > clearance:
         raise ValueError(
-            f"{tube}: at {3600.0 * most_air:g} m3/h and {longest:g} m drag presses the floats {1e3 * end.depth:.2g} mm"
+            f"{tube}: at {3600.0 * max_air:g} m3/h and {max_length:g} m drag presses the floats"
+            f" {1e3 * end.depth:.2g} mm"
             f" into the wall, and the clearance is {1e3 * clearance:.2g} mm; {REMEDY}"
         )
     turn = max(start.slide, end.slide) * 2.0 / diameter
-    if turn > MOST_TURN:
+    if turn > MAX_TURN:
         raise ValueError(
             f"{tube}: drag stretches the probe and presses it into the wall so that it turns by {turn:.2g} rad along"
-            f" the helix, and the model holds up to {MOST_TURN:g} rad; {REMEDY}"
+            f" the helix, and the model holds up to {MAX_TURN:g} rad; {REMEDY}"
         )
     tension_limit = _tension_step(fidelity.simulated_method, probe, start.tension, end.tension)
     if fidelity.time_step > tension_limit * (1.0 + 1e-9):
@@ -125,7 +124,7 @@ def steady_sliding(scene: Scene, length: float, air_supply_rate: float, friction
     probe, radius = scene.probe, scene.tube.helix_diameter / 2.0
     pressure = 0.5 * scene.air.drag_coefficient * scene.air.density * air_speed(scene, air_supply_rate) ** 2
     guide = min(probe.guide_length, length)
-    tension = greatest = whole = 0.0
+    tension = maximum = whole = 0.0
     for diameter, section in ((probe.guide_float_diameter, guide), (probe.carrier_float_diameter, length - guide)):
         drag = pressure * math.pi / 4.0 * (diameter**2 - probe.cable_diameter**2) / probe.float_pitch
         decay = friction * (1.0 - diameter / scene.tube.helix_diameter) / radius
@@ -133,15 +132,15 @@ def steady_sliding(scene: Scene, length: float, air_supply_rate: float, friction
             whole += tension * section + 0.5 * drag * section**2
             tension += drag * section
         else:
-            most, factor = drag / decay, math.exp(-decay * section)
-            whole += most * section + (tension - most) * (1.0 - factor) / decay
-            tension = most + (tension - most) * factor
-        greatest = max(greatest, tension)
+            asymptote, factor = drag / decay, math.exp(-decay * section)
+            whole += asymptote * section + (tension - asymptote) * (1.0 - factor) / decay
+            tension = asymptote + (tension - asymptote) * factor
+        maximum = max(maximum, tension)
     sinking = probe.float_pitch / (scene.contact.stiffness * radius)
-    return Sliding(greatest, greatest * sinking, whole * (1.0 / probe.tensile_rigidity + sinking / radius))
+    return Sliding(maximum, maximum * sinking, whole * (1.0 / probe.tensile_rigidity + sinking / radius))
 
 
-def _longest_step(method: Method, scene: Scene, nodes_per_pitch: int) -> float:
+def _max_step(method: Method, scene: Scene, nodes_per_pitch: int) -> float:
     """Longest step known to be stable [s], else the longest that contact allows."""
     return method.stable_step(scene, nodes_per_pitch) or method.contact_step(scene, nodes_per_pitch)
 
@@ -163,10 +162,10 @@ def _stable_settings(fidelity: Fidelity, scene: Scene, start: float = 0.0, end: 
     for method in dict.fromkeys((present, present.in_double, METHODS["imex"])):
         nodes = fidelity.nodes_per_pitch if method.on_nodes == present.on_nodes else MESH_NODES
         try:
-            limit = min(_longest_step(method, scene, nodes), _tension_step(method, scene.probe, start, end))
+            limit = min(_max_step(method, scene, nodes), _tension_step(method, scene.probe, start, end))
         except ValueError:
             continue
         step = next((value for value in steps if SHORTEST_STEP <= value <= limit), 0.0)
-        if step and step >= method.least_step:
+        if step and step >= method.min_step:
             return repr(fidelity.model_dump() | {"method": method.name, "time_step": step, "nodes_per_pitch": nodes})
     return repr(fidelity.model_dump() | {"method": "implicit"})

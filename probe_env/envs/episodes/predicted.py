@@ -4,8 +4,6 @@ The surrogate is quasi-steady: vibration has no transients except its noise, and
 their targets as in a simulation. Training takes minutes instead of hours; evaluate agents by simulation.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Final, NamedTuple
 
@@ -217,7 +215,7 @@ def check_tube(context: Context, scene: Scene, vibration: VibrationMap) -> None:
 
 def check_task(config: TaskConfig, probes: str, vibration: VibrationMap) -> None:
     """Raise ValueError if the map does not predict a task."""
-    length, longest = config.scene.tube.helix_length, vibration.scene.tube.helix_length
+    length, max_length = config.scene.tube.helix_length, vibration.scene.tube.helix_length
     refused = {
         "growing = False": not config.growing,
         f"probes = {probes!r}": probes != "scene",
@@ -225,7 +223,7 @@ def check_task(config: TaskConfig, probes: str, vibration: VibrationMap) -> None
         "friction_drift": config.friction_drift != 0.0,
         "air.compressible = true": config.scene.air.compressible,
         "contact.weight = true": config.scene.contact.weight,
-        f"helix_length = {length:g} m (the map ends at {longest:g} m)": length > longest * (1.0 + 1e-9),
+        f"helix_length = {length:g} m (the map ends at {max_length:g} m)": length > max_length * (1.0 + 1e-9),
     }
     wrong = [name for name, applies in refused.items() if applies]
     if wrong:

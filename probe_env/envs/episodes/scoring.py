@@ -4,8 +4,6 @@ On insertion a metre is scored by its measured vibration. In a round trip ``conf
 withdrawal, or the better of both in each metre.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Start of an episode: tube, probe and inserted length, from arguments or sampled."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -161,10 +159,6 @@ def resolve_settings(
         defaults: fields of the task that the environment changes.
         config: changed fields of the task, or a whole task.
         settings: arguments, with a ``tube`` or a ``scene``.
-
-    Raises:
-        ValueError: a field is unknown or not valid, or settings exclude each other.
-        TypeError: a field of the task among the settings.
     """
     for name in settings:
         if name in TaskConfig.model_fields and name != "scene":

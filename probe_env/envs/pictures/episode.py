@@ -1,7 +1,5 @@
 """Pictures of an episode: top view of the helix with the probe, and plots of actions and signals."""
 
-from __future__ import annotations
-
 from typing import Any, Final
 
 import numpy as np
@@ -104,10 +102,10 @@ class Traces:
         sensor.set_xlabel("time in the period [s]", fontsize=7)
         feed.set_ylim(0.0, 1.05 * config.feed_speeds[1])
         air.set_ylim(0.0, 1.05 * config.air_supply_rates[1] * 3600.0)
-        self._least = {sensor: (-QUIET_MM, QUIET_MM), rms: (0.0, QUIET_MM), reward: (-0.1, 0.1)}
+        self._minimum = {sensor: (-QUIET_MM, QUIET_MM), rms: (0.0, QUIET_MM), reward: (-0.1, 0.1)}
         if config.vibration_measure == "displacement":
             rms.axhline(config.limit * 1e3, color=RED, linewidth=0.8)
-            self._least[rms] = (0.0, 1.2 * config.limit * 1e3)
+            self._minimum[rms] = (0.0, 1.2 * config.limit * 1e3)
         reward.set_xlabel("inserted length [m]" if self._growing else "time [s]", fontsize=8)
         self._lines = [axes.plot([], [], color=BLUE, linewidth=1.0)[0] for axes in self._axes]
         self._lines[0].set_linewidth(0.6)
@@ -121,8 +119,8 @@ class Traces:
         for line, values in zip(self._lines[1:], (feed, air * 3600.0, rms * 1e3, reward), strict=True):
             line.set_data(length if self._growing else time, values)
         changed = False
-        for axes, values in zip(self._least, (np.r_[low, high] * 1e3, rms * 1e3, reward), strict=True):
-            limits = limits_around(values, self._least[axes])
+        for axes, values in zip(self._minimum, (np.r_[low, high] * 1e3, rms * 1e3, reward), strict=True):
+            limits = limits_around(values, self._minimum[axes])
             if limits != axes.get_ylim():
                 axes.set_ylim(*limits)
                 changed = True

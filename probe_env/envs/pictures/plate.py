@@ -1,7 +1,5 @@
 """Fast repeated pictures of a figure: the background is stored as pixels, and only moving artists are drawn."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Any, Final
@@ -65,8 +63,8 @@ def outward(value: float) -> float:
     return math.copysign(factor * decade, value)
 
 
-def limits_around(values: FloatArray, least: tuple[float, float]) -> tuple[float, float]:
-    """Rounded limits that include the finite values and ``least``."""
+def limits_around(values: FloatArray, minimum: tuple[float, float]) -> tuple[float, float]:
+    """Rounded limits that include the finite values and ``minimum``."""
     finite = values[np.isfinite(values)]
-    low, high = (min(finite), max(finite)) if len(finite) else least
-    return outward(min(low, least[0])), outward(max(high, least[1]))
+    low, high = (min(finite), max(finite)) if len(finite) else minimum
+    return outward(min(low, minimum[0])), outward(max(high, minimum[1]))

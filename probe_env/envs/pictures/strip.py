@@ -5,8 +5,6 @@ pieces towards the targets of the period. A run does not depend on its division,
 bit.
 """
 
-from __future__ import annotations
-
 import copy
 from dataclasses import dataclass
 from typing import Final

@@ -21,7 +21,7 @@ from probe_env.envs.task.rules import (
     slack,
     uninspected_weight,
 )  # fmt: skip
-from probe_env.envs.task.scales import action_in, action_of, as_actions, share_between, share_of, value_at
+from probe_env.envs.task.scales import action_in, action_of, as_actions, fraction_between, fraction_of, value_at
 
 __all__ = [
     "COSTS",
@@ -46,11 +46,11 @@ __all__ = [
     "describe",
     "drive_counts",
     "ending",
+    "fraction_between",
+    "fraction_of",
     "metre_cost",
     "metre_reward",
     "reward_terms",
-    "share_between",
-    "share_of",
     "slack",
     "ungrouped",
     "uninspected_weight",

@@ -12,7 +12,15 @@ import numpy.typing as npt
 from pydantic import BeforeValidator, Field, ValidationInfo, model_validator
 
 from probe_env.arrays import BoolArray, FloatArray
-from probe_env.envs.task.scales import OBSERVATIONS, PRIVILEGED, PROBE, ROUND_TRIP, action_of, as_actions, share_between
+from probe_env.envs.task.scales import (
+    OBSERVATIONS,
+    PRIVILEGED,
+    PROBE,
+    ROUND_TRIP,
+    action_of,
+    as_actions,
+    fraction_between,
+)
 from probe_env.inspection.instrument import Instrument
 from probe_env.inspection.sensor import Sensor
 from probe_env.scene import Scene
@@ -276,14 +284,14 @@ class TaskConfig(Observation, Disturbances, Limits, Reward, Actuators, Timing, R
         return self.vibration_limit or MEASURES[self.vibration_measure][1]
 
     @property
-    def most_periods(self) -> int:
+    def max_periods(self) -> int:
         """Number of control periods after which an episode is truncated."""
         return math.ceil((self.time_limit - 1e-9) / self.period)  # 2.1 / 0.7 is more than 3
 
     @property
-    def most_actions(self) -> int:
+    def max_actions(self) -> int:
         """Number of actions of the environment after which an episode is truncated."""
-        return math.ceil(self.most_periods / self.periods_per_action)
+        return math.ceil(self.max_periods / self.periods_per_action)
 
     @cached_property
     def observations(self) -> dict[str, tuple[float, float, str]]:
@@ -303,7 +311,7 @@ class TaskConfig(Observation, Disturbances, Limits, Reward, Actuators, Timing, R
 
         It is outside the action space; ``Episodes`` accepts it for replays of logs.
         """
-        return np.float32(action_of(share_between(0.0, self.feed_speeds)))
+        return np.float32(action_of(fraction_between(0.0, self.feed_speeds)))
 
     def checked(
         self,
@@ -360,7 +368,7 @@ class TaskConfig(Observation, Disturbances, Limits, Reward, Actuators, Timing, R
         """(N, 2) actions of feed speeds [m/s] and air supplies [m3/s], clipped to the task's range."""
         requested = ((feed_speed, self.feed_speeds), (air_supply_rate, self.air_supply_rates))
         return np.column_stack(
-            [action_of(share_between(np.clip(value, *range_), range_)) for value, range_ in requested]
+            [action_of(fraction_between(np.clip(value, *range_), range_)) for value, range_ in requested]
         )
 
     def action(self, feed_speed: float, air_supply_rate: float) -> npt.NDArray[np.float32]:
@@ -369,7 +377,7 @@ class TaskConfig(Observation, Disturbances, Limits, Reward, Actuators, Timing, R
             ("feed_speed", feed_speed, self.feed_speeds),
             ("air_supply_rate", air_supply_rate, self.air_supply_rates),
         ):
-            if not abs(action_of(share_between(value, (low, high)))) <= 1.0 + 1e-6:
+            if not abs(action_of(fraction_between(value, (low, high)))) <= 1.0 + 1e-6:
                 raise ValueError(f"{name} = {value!r} is outside the task's range {low:g} to {high:g}")
         action: npt.NDArray[np.float32] = self.actions(feed_speed, air_supply_rate)[0].astype(np.float32)
         return action

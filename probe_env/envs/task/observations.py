@@ -1,7 +1,5 @@
 """Sensor model: observations of N probes with noise and delay, and observations in SI units."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any, Final
 
@@ -17,7 +15,7 @@ from probe_env.envs.task.scales import (
     LOGARITHMIC,
     RF_FLOOR,
     UNITS,
-    share_between,
+    fraction_between,
     value_at,
 )
 
@@ -43,7 +41,7 @@ def observe(config: TaskConfig, measured: dict[str, FloatArray], noise: FloatArr
 
     def column(name: str) -> FloatArray:
         if name in RANGES:
-            return share_between(values[name], RANGES[name][:2])
+            return fraction_between(values[name], RANGES[name][:2])
         value = values[name] / UNITS.get(name, 1.0)
         return np.asarray(np.log10(value) if name in LOGARITHMIC else value)
 

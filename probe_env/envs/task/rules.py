@@ -4,8 +4,6 @@ Every array has one entry per probe. Costs count unsafe events, as in safe reinf
 the reward nor the simulation.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import reduce
 from operator import or_
@@ -75,7 +73,7 @@ def ending(config: TaskConfig, now: Situation, time: FloatArray) -> dict[str, Bo
     for name, applies in ENDINGS.items():
         ends[name] = applies(config, now) & left
         left = left & ~ends[name]
-    return ends | {"out_of_time": now.stepped & (np.rint(time / config.period) >= config.most_periods)}
+    return ends | {"out_of_time": now.stepped & (np.rint(time / config.period) >= config.max_periods)}
 
 
 def any_ending(endings: dict[str, BoolArray]) -> BoolArray:
@@ -152,9 +150,9 @@ def uninspected_weight(config: TaskConfig) -> float:
 
     So neither ending early nor crawling to the time limit pays.
     """
-    slowest, most_air = config.feed_speeds[0], config.air_supply_rates[1]
+    slowest, max_air = config.feed_speeds[0], config.air_supply_rates[1]
     jerk = config.jerk_weight * 8.0 / slowest / config.period  # both actions change by 2, squared
-    return config.progress_weight + float(metre_cost(config, config.ratio_cap**2, slowest, most_air)) + jerk
+    return config.progress_weight + float(metre_cost(config, config.ratio_cap**2, slowest, max_air)) + jerk
 
 
 class Quantities(TypedDict, total=False):

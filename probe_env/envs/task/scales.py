@@ -1,7 +1,5 @@
 """Scales of observations and actions: bounds and units of each observation, and values in a range as [-1, 1]."""
 
-from __future__ import annotations
-
 from typing import Any, Final
 
 import numpy as np
@@ -76,32 +74,32 @@ def as_actions(actions: npt.ArrayLike, shape: tuple[int, ...]) -> npt.NDArray[An
     return values
 
 
-def share_of(action: FloatArray) -> FloatArray:
+def fraction_of(action: FloatArray) -> FloatArray:
     """Position in a range, 0 to 1, of an action clipped to [-1, 1]."""
-    return np.asarray(_share(np.clip(action, -1.0, 1.0)))
+    return np.asarray(_fraction(np.clip(action, -1.0, 1.0)))
 
 
-def action_of(share: FloatArray) -> FloatArray:
-    """The inverse of ``share_of``."""
-    return 2.0 * share - 1.0
+def action_of(fraction: FloatArray) -> FloatArray:
+    """The inverse of ``fraction_of``."""
+    return 2.0 * fraction - 1.0
 
 
-def value_at(share: FloatArray, range_: tuple[float, float]) -> FloatArray:
-    """The inverse of ``share_between``."""
+def value_at(fraction: FloatArray, range_: tuple[float, float]) -> FloatArray:
+    """The inverse of ``fraction_between``."""
     low, high = range_
-    return low + share * (high - low)
+    return low + fraction * (high - low)
 
 
 def action_in(action: FloatArray, range_: tuple[float, float], other: tuple[float, float]) -> FloatArray:
     """Convert an action from one range to an ``other`` range; the result may be outside [-1, 1]."""
-    return action_of(share_between(value_at(_share(action), range_), other))
+    return action_of(fraction_between(value_at(_fraction(action), range_), other))
 
 
-def share_between(value: FloatArray | float, range_: tuple[float, float]) -> FloatArray:
+def fraction_between(value: FloatArray | float, range_: tuple[float, float]) -> FloatArray:
     """Position of a value in a range: 0 at its low end, 1 at its high end."""
     low, high = range_
     return np.asarray((np.asarray(value, dtype=float) - low) / (high - low))
 
 
-def _share(action: FloatArray) -> FloatArray:
+def _fraction(action: FloatArray) -> FloatArray:
     return 0.5 * (action + 1.0)

@@ -3,8 +3,6 @@
 Policies use them to estimate friction, tests to check simulations.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from typing import Final

@@ -1,7 +1,5 @@
 """Chains with closed-form solutions and their simulation by any method; no scene describes these chains."""
 
-from __future__ import annotations
-
 import math
 import time
 from typing import Any, NamedTuple

@@ -8,8 +8,6 @@ Friction acts at the surface of the float (diameter d_f), on the inner wall unde
 compression (+). The feed device can hold the cable back but cannot push it: T must not be negative there.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Annotated, Final, NamedTuple, Self
@@ -30,14 +28,14 @@ CELL: Final = 0.5
 """Longest step of the integration [m]; tips are at the ends of the steps."""
 DECAY: Final = 0.25
 """Greatest mu ds / R of a step: the error of the Runge-Kutta step is then below 1e-5 of the force."""
-MOST_STEPS: Final = 4000
+MAX_STEPS: Final = 4000
 """Most steps of a route, about 2 km; the time grows with the square."""
-MOST_AIR: Final = 0.2
+MAX_AIR: Final = 0.2
 """Most air supply of a scene [m3/s]."""
 LOCKED: Final = 1e6
 """Force [N] at which the cable is stuck: it grows exponentially in a bend under compression."""
 ROUNDS, TOLERANCE = 60, 1e-6
-"""Most iterations of ``least_air`` (it needs about 25), and its tolerance of the force [N]."""
+"""Most iterations of ``min_air`` (it needs about 25), and its tolerance of the force [N]."""
 
 
 class Segment(Model):
@@ -105,9 +103,6 @@ def route_forces(route: Route, scene: Scene, air: npt.ArrayLike | None = None, d
         scene: probe, bore, helix, friction; the sign of the feed speed is the direction: negative is withdrawal.
         air: air supply rate [m3/s], one number or one for each tip (k,); default: that of the scene.
         drag: drag per metre; default: ``uniform_drag`` of the scene.
-
-    Raises:
-        ValueError: the route is too long.
     """
     drag, mu = drag or uniform_drag(scene), scene.contact.friction
     weight, friction = scene.probe.line_density * GRAVITY, math.copysign(mu, -scene.feed_speed)
@@ -117,8 +112,8 @@ def route_forces(route: Route, scene: Scene, air: npt.ArrayLike | None = None, d
         length = scene.tube.helix_length if segment.helix else segment.length or 0.0
         radius = 0.5 * scene.tube.helix_diameter if segment.helix else segment.bend_radius or math.inf
         count = math.ceil(length / min(CELL, DECAY * radius / max(mu, 1e-3)) - 1e-9)
-        if len(lengths) + count > MOST_STEPS:
-            text = f"route.{k}: the route needs over {MOST_STEPS} steps"
+        if len(lengths) + count > MAX_STEPS:
+            text = f"route.{k}: the route needs over {MAX_STEPS} steps"
             raise ValueError(f"{text}, of {CELL:g} m and less in bends with much friction: shorten it")
         lengths += [length / count] * count
         slopes += [math.radians(segment.slope)] * count
@@ -157,10 +152,10 @@ def _through_bend(
     return np.asarray(force + step / 6.0 * (first + 2.0 * second + 2.0 * third + growth(force + step * third)))
 
 
-def least_air(route: Route, scene: Scene, drag: Drag | None = None) -> FloatArray:
+def min_air(route: Route, scene: Scene, drag: Drag | None = None) -> FloatArray:
     """Least air supply rate (k,) [m3/s] with which the feed device need not push, for each tip of ``route_forces``.
 
-    Infinite where ``MOST_AIR`` is not enough. The force is nearly linear in the square of the air, so the method is
+    Infinite where ``MAX_AIR`` is not enough. The force is nearly linear in the square of the air, so the method is
     regula falsi in that variable (Illinois).
     """
 
@@ -169,7 +164,7 @@ def least_air(route: Route, scene: Scene, drag: Drag | None = None) -> FloatArra
         return np.clip(route_forces(route, scene, np.sqrt(square), drag).feed, -1.0, 1.0)
 
     low = np.zeros_like(route_forces(route, scene, 0.0, drag).tip)
-    high = low + MOST_AIR**2
+    high = low + MAX_AIR**2
     below, above = feed(low), feed(high)
     enough, hopeless = below >= 0.0, above < 0.0
     solved = enough | hopeless
@@ -189,11 +184,11 @@ def least_air(route: Route, scene: Scene, drag: Drag | None = None) -> FloatArra
 def required_root_tension(route: Route, scene: Scene, drag: Drag | None = None) -> float:
     """Least root tension in the helix [N] with which the feed device need not push, at most over all inserted lengths.
 
-    It is the root tension at ``least_air``. More air increases the root tension and reduces what the parts before the
+    It is the root tension at ``min_air``. More air increases the root tension and reduces what the parts before the
     helix need, so a root tension above it is enough, and one below it is not. In a uniform stream it depends neither on
     the drag coefficient nor on the feed speed.
     """
-    air = least_air(route, scene, drag)
+    air = min_air(route, scene, drag)
     possible = np.isfinite(air)
-    forces = route_forces(route, scene, np.where(possible, air, MOST_AIR), drag)
+    forces = route_forces(route, scene, np.where(possible, air, MAX_AIR), drag)
     return float(forces.root[forces.in_helix & possible].max(initial=0.0))

@@ -1,7 +1,5 @@
 """Methods that advance a chain in time; ``METHODS`` lists them all."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Final
 
@@ -33,10 +31,10 @@ def method_named(method: str | Method) -> Method:
 
 def check_step(method: Method, time_step: float) -> None:
     """Raise ValueError if a step [s] is below the least step of the method."""
-    if time_step < method.least_step:
+    if time_step < method.min_step:
         raise ValueError(
-            f"time_step = {time_step!r} s is below {method.least_step:g} s, where the rounding of {method.name} shows:"
-            f" {method_names(lambda other: other.least_step == 0.0)} have no such limit"
+            f"time_step = {time_step!r} s is below {method.min_step:g} s, where the rounding of {method.name} shows:"
+            f" {method_names(lambda other: other.min_step == 0.0)} have no such limit"
         )
 
 

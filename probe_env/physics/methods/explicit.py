@@ -3,8 +3,6 @@
 K (d + delta v) is part of the kick of ``imex``; the damping force lags half a step, so the order is one with damping.
 """
 
-from __future__ import annotations
-
 from probe_env.arrays import FloatArray
 from probe_env.physics.methods import imex
 from probe_env.physics.methods import lane_group as layout

@@ -3,8 +3,6 @@
 Factors in single precision are rounded so that rigid motion along the tube remains free.
 """
 
-from __future__ import annotations
-
 from functools import lru_cache
 from typing import Any
 
@@ -14,7 +12,7 @@ from probe_env.arrays import FloatArray
 from probe_env.physics.methods.lanes import traced
 from probe_env.physics.model.chain import Chain, cable_of, element_blocks, element_stiffness, linear_part
 
-MOST_FACTORS = 4000
+MAX_FACTORS = 4000
 LONG_STEP = 5e-4  # [s]
 ULPS = 128
 """Largest adjustment of an entry in units in the last place."""
@@ -81,7 +79,7 @@ def _imex_factors(linear: tuple[float, ...], time_step: float) -> FloatArray:
     # entries between lengths and angles compare once angles are taken times the element's length
     lengths = np.array([1.0, 1.0, 1.0 / chain.element_length])
     scale = lengths[None, :] / lengths[:, None]
-    while len(rows) < MOST_FACTORS:
+    while len(rows) < MAX_FACTORS:
         E = np.linalg.inv(S)
         F, U = E @ behind, E @ ahead
         rows.append(np.concatenate([E.ravel(), F.ravel(), U.ravel()]))

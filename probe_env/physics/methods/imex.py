@@ -19,8 +19,6 @@ Vector lanes compute several probes at once (see lanes.py): four in double preci
 nodes per pitch and number of steps are common.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -184,14 +182,14 @@ def compressed_forces(kappa, coupling, forward, vy, x, t, axial_force, dt):
     """``inertia_forces`` for a cable under compression.
 
     The couple may count from the tangent of the tube at the node, V l (theta + x / r), and then also acts on x. If the
-    cable touches the walls, its compression and tension are limited to ``chain.most_pressure`` and ``most_tension`` in
+    cable touches the walls, its compression and tension are limited to ``chain.max_pressure`` and ``max_tension`` in
     the couple, because a bouncing cable has equally large tensions.
     """
     couple, tangent, work, (pressure, tension) = coupling
     zero = splat(t, 0.0)
-    most = zero - pressure
+    maximum = zero - pressure
     pulled = where_less(tension, axial_force, tension, axial_force)
-    spring = couple * where_less(pulled, most, most, pulled)
+    spring = couple * where_less(pulled, maximum, maximum, pulled)
     stiff = 1.0 + 0.25 * dt * dt * where_less(zero, spring, spring, zero)
     moment = zero - spring * (t + tangent * x) / stiff
     return work * moment - 2.0 * kappa * forward * vy, kappa * forward * forward, moment
@@ -240,8 +238,10 @@ def float_forces(float_, wall, forward, air, y, slide, turn):
     beyond = y - gap
     outer = where_less(zero, beyond, beyond, zero)
     lever = where_less(y, zero, lever, zero - lever)  # of the contact point
-    most = coefficient * stiffness * (inner + outer)
-    friction = where_less(slide + turn * lever, zero, zero - most, most)  # against the slide; zero counts as forward
+    maximum = coefficient * stiffness * (inner + outer)
+    friction = where_less(
+        slide + turn * lever, zero, zero - maximum, maximum
+    )  # against the slide; zero counts as forward
     return drag * relative * magnitude(relative) - friction, stiffness * (inner - outer), friction * lever * ratio
 
 
@@ -263,9 +263,9 @@ def nearest_walls(floats, cable):
 
 
 @traced
-def extended_range(least, most, y):
+def extended_range(minimum, maximum, y):
     """A range extended to include y."""
-    return where_less(y, least, y, least), where_less(most, y, y, most)
+    return where_less(y, minimum, y, minimum), where_less(maximum, y, y, maximum)
 
 
 @traced
@@ -277,8 +277,8 @@ def cable_forces(walls, cable, y, slide, turn):
     inner = where_less(y, low, low - y, zero)
     outer = where_less(high, y, y - high, zero)
     side = where_less(y, low, splat(y, 1.0), splat(y, -1.0))
-    most = grip * (inner + outer)
-    friction = where_less(slide + side * radius * turn, zero, zero - most, most)
+    maximum = grip * (inner + outer)
+    friction = where_less(slide + side * radius * turn, zero, zero - maximum, maximum)
     return zero - friction, stiffness * (inner - outer), side * friction * twist
 
 
@@ -364,7 +364,7 @@ def imex_advance(parameters, compressed, factors, state, inputs, tops, bottoms, 
             peak = to_root(state, factors, nodes, drive, rates, model, coupling, compressed[:1])
         # back to the tip: solution and new state; down to the shortest probe's root the lanes are masked
         wx, wy, wt = zero, zero, zero
-        least, most = low, high
+        minimum, maximum = low, high
         held = load(parameters, layout.ROOT)
         for back in range(top - bottom + 1):
             i = top - back
@@ -381,7 +381,7 @@ def imex_advance(parameters, compressed, factors, state, inputs, tops, bottoms, 
             store(state, q + layout.VY, where_less(node, held, vy, zero))
             store(state, q + layout.VT, where_less(node, held, vt, zero))
             if len(compressed) > 1:
-                least, most = extended_range(least, most, load(state, q + layout.Y))
+                minimum, maximum = extended_range(minimum, maximum, load(state, q + layout.Y))
         for back in range(bottom):
             i = bottom - 1 - back
             q = i * layout.FIELDS
@@ -391,8 +391,8 @@ def imex_advance(parameters, compressed, factors, state, inputs, tops, bottoms, 
             vx, vy, vt = move_node(state, q, ux, uy, ut, drift, bounce, reflection)
             store3(state, q + layout.VX, vx, vy, vt)
             if len(compressed) > 1:
-                least, most = extended_range(least, most, load(state, q + layout.Y))
-        near = len(compressed) > 1 and (any_less(least, low) or any_less(high, most))
+                minimum, maximum = extended_range(minimum, maximum, load(state, q + layout.Y))
+        near = len(compressed) > 1 and (any_less(minimum, low) or any_less(high, maximum))
         store(parameters, layout.PEAK, peak)
         if after_step(parameters, state, inputs, step, sampling, roots, failed):
             return step + 1
@@ -416,7 +416,7 @@ class Imex32(Imex):
     """
 
     name = "imex32"
-    least_step = 5e-5
+    min_step = 5e-5
     precision = np.float32
     simulates_withdrawal = False
     factors = staticmethod(single_factors)

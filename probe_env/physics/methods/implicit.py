@@ -19,10 +19,8 @@ damping force. The terms of f do not add energy to a passive probe:
 Contact and friction make the system piecewise linear. A semi-smooth Newton iteration solves it with the flags of
 the last iterate until the error of all contact forces is below ``TOLERANCE``; from ``HALF_STEPS_FROM`` on it takes half
 steps. After ``FREEZE_AFTER`` iterations friction is bounded by its present value (Tresca's law, a convex and
-dissipative problem); after ``MOST_ITERATIONS`` the last solution is used. Such steps count as not converged.
+dissipative problem); after ``MAX_ITERATIONS`` the last solution is used. Such steps count as not converged.
 """
-
-from __future__ import annotations
 
 import math
 import time
@@ -48,12 +46,12 @@ from probe_env.physics.methods.ticm import (
     to_node,
     turned,
 )
-from probe_env.physics.model.chain import Chain, most_pressure, most_tension
+from probe_env.physics.model.chain import Chain, max_pressure, max_tension
 from probe_env.physics.model.drive import AIR, SLOPE, SPEED
 from probe_env.physics.model.state import DIVERGED_RADIAL
 from probe_env.scene import Scene
 
-TOLERANCE, LEAST_FORCE = 1e-6, 1e-4  # relative to the largest contact force [N], at least the second
+TOLERANCE, MIN_FORCE = 1e-6, 1e-4  # relative to the largest contact force [N], at least the second
 
 STICTION = 100.0  # c theta dt / m
 
@@ -114,15 +112,15 @@ def contact(wall, geometry, law, at, d, w):
 
 
 @njit(nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
-def friction_force(slide, slip, most, stiction):
+def friction_force(slide, slip, maximum, stiction):
     """Friction for a flag: largest value when sliding, proportional to the slip when sticking."""
-    return slide * most if slide != 0 else stiction * slip
+    return slide * maximum if slide != 0 else stiction * slip
 
 
 @njit(nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
-def slide_of(slip, most, stiction):
+def slide_of(slip, maximum, stiction):
     """Flag of friction: 0 if it sticks, else the sign of the slip."""
-    return 0 if stiction * abs(slip) < most else (1 if slip >= 0.0 else -1)
+    return 0 if stiction * abs(slip) < maximum else (1 if slip >= 0.0 else -1)
 
 
 @njit(nogil=True, error_model="numpy", fastmath=FASTMATH)
@@ -132,7 +130,7 @@ def renew_weight(i, walls, law, first, state, work):
     geometry, weight = (walls[i, 0], walls[i, 1], walls[i, 2], walls[i, 3]), walls[i, WEIGHT]
     d, change, old, slip = (state.d[i, 0], state.d[i, 1], state.d[i, 2]), 0.0, work.flags[i, 2], 0.0
     at = moment_of_contact(geometry, law, d[1])
-    most = work.rest[i]
+    maximum = work.rest[i]
     for k in range(2):  # solution, then iterate
         w = (work.w[i, 0], work.w[i, 1], work.w[i, 2])
         if k == 1:
@@ -140,25 +138,25 @@ def renew_weight(i, walls, law, first, state, work):
         slip = speed + (w[0] - d[0]) / tau
         if not frozen:
             N, _ = contact(wall_at(d[1] + at * (w[1] - d[1]), geometry), geometry, law, at, d, w)
-            most = coefficient * (math.hypot(N, weight) - N)
+            maximum = coefficient * (math.hypot(N, weight) - N)
         if k == 0 and not first:
-            F = friction_force(slide_of(slip, most, stiction), slip, most, stiction)
+            F = friction_force(slide_of(slip, maximum, stiction), slip, maximum, stiction)
             change = abs(F - friction_force(old, slip, work.rest[i], stiction))
-    slide = slide_of(slip, most, stiction)
-    work.rest[i] = most
+    slide = slide_of(slip, maximum, stiction)
+    work.rest[i] = maximum
     work.flags[i, 2] = 0 if slide * old < 0 and not first else slide
     return change
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH)
-def renew_flags(root, walls, law, share, first, state, work):
+def renew_flags(root, walls, law, fraction, first, state, work):
     """Update the flags for the next iteration; returns the largest change of forces and the largest normal force.
 
-    The iterate moves by ``share`` towards the solution. ``law``: points of evaluation for free nodes and for nodes in a
-    wall, tau, c, u, mu, whether friction is frozen, and a tuple that is empty if weight is neglected.
+    The iterate moves by ``fraction`` towards the solution. ``law``: points of evaluation for free nodes and for nodes
+    in a wall, tau, c, u, mu, whether friction is frozen, and a tuple that is empty if weight is neglected.
     """
     _, _, _, stiction, _, coefficient, frozen, weighed = law
-    worst, largest = 0.0, LEAST_FORCE
+    worst, largest = 0.0, MIN_FORCE
     for i in range(root):
         geometry = (walls[i, 0], walls[i, 1], walls[i, 2], walls[i, 3])
         d = (state.d[i, 0], state.d[i, 1], state.d[i, 2])
@@ -167,11 +165,11 @@ def renew_flags(root, walls, law, share, first, state, work):
         wall, old_wall, old_slide = wall_at(d[1] + at * (w[1] - d[1]), geometry), work.flags[i, 0], work.flags[i, 1]
         if wall > 0 or (old_wall > 0 and not first):
             N, slip = contact(wall, geometry, law, at, d, w)
-            most = work.bound[i] if frozen else coefficient * N
-            slide = 0 if stiction * abs(slip) < most else (1 if slip >= 0.0 else -1)
+            maximum = work.bound[i] if frozen else coefficient * N
+            slide = 0 if stiction * abs(slip) < maximum else (1 if slip >= 0.0 else -1)
             if not first:
                 N_old, slip_old = contact(old_wall, geometry, law, at, d, w)
-                F = friction_force(slide, slip, most, stiction)
+                F = friction_force(slide, slip, maximum, stiction)
                 F_old = friction_force(old_slide, slip_old, work.bound[i] if frozen else coefficient * N_old, stiction)
                 worst = max(worst, abs(N - N_old) + abs(F - F_old))
                 largest = max(largest, N)
@@ -180,12 +178,12 @@ def renew_flags(root, walls, law, share, first, state, work):
         elif not frozen:
             work.bound[i] = 0.0
         for k in range(3):
-            work.iterate[i, k] += share * (w[k] - work.iterate[i, k])
+            work.iterate[i, k] += fraction * (w[k] - work.iterate[i, k])
         w = (work.iterate[i, 0], work.iterate[i, 1], work.iterate[i, 2])
         wall = wall_at(d[1] + at * (w[1] - d[1]), geometry)
         N, slip = contact(wall, geometry, law, at, d, w)
-        most = work.bound[i] if frozen else coefficient * N
-        slide = 0 if stiction * abs(slip) < most else (1 if slip >= 0.0 else -1)
+        maximum = work.bound[i] if frozen else coefficient * N
+        slide = 0 if stiction * abs(slip) < maximum else (1 if slip >= 0.0 else -1)
         if slide * old_slide < 0 and not first:
             slide = 0  # stick before sliding the other way; otherwise the iteration oscillates
         work.flags[i, 0], work.flags[i, 1] = wall, slide
@@ -198,7 +196,7 @@ def couple_limits(chain: Chain, nodes_per_pitch: int) -> tuple[float, float]:
     """Largest compression and tension [N] in the couple V l theta, see chain.py."""
     h = chain.element_length
     rigidity = h / chain.bending_compliance
-    return most_pressure(rigidity, h, nodes_per_pitch * h), most_tension(rigidity, h)
+    return max_pressure(rigidity, h, nodes_per_pitch * h), max_tension(rigidity, h)
 
 
 @njit(nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
@@ -338,7 +336,7 @@ def solve(chain, root, walls, law, state, work):
     return -1
 
 
-HALF_STEPS_FROM, FREEZE_AFTER, MOST_ITERATIONS = 8, 25, 40
+HALF_STEPS_FROM, FREEZE_AFTER, MAX_ITERATIONS = 8, 25, 40
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH)
@@ -356,13 +354,13 @@ def implicit_step(chain, weights, limits, walls, weighed, inputs, root, state, w
     law = (dt / tau, zeta * dt / tau, tau, stiction, speed, chain.friction, False, weighed)
     renew_flags(root, walls, law, 1.0, True, state, work)
     iterations, converged, bad = 0, False, -1
-    while not converged and iterations < MOST_ITERATIONS:
+    while not converged and iterations < MAX_ITERATIONS:
         iterations += 1
         node = solve(chain, root, walls, law, state, work)
         if node >= 0:
             return iterations, False, node
-        share = 1.0 if iterations < HALF_STEPS_FROM else 0.5
-        worst, largest = renew_flags(root, walls, law, share, False, state, work)
+        fraction = 1.0 if iterations < HALF_STEPS_FROM else 0.5
+        worst, largest = renew_flags(root, walls, law, fraction, False, state, work)
         converged = worst <= TOLERANCE * largest
         if iterations == FREEZE_AFTER:
             law = (dt / tau, zeta * dt / tau, tau, stiction, speed, chain.friction, True, weighed)

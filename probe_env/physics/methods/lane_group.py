@@ -205,6 +205,6 @@ def lane_parameters(chain: Chain, sensor: int, nodes_per_pitch: int) -> FloatArr
     values[DAMPING] = chain.damping_time
     values[[TURN, TURN_FORCE]] = chain.couple_turn, chain.couple_turn * chain.inertia / chain.mass
     values[[CABLE, CABLE_RADIUS]] = chain.cable_stiffness / chain.mass, chain.cable_radius
-    values[[PRESSURE, TENSION]] = chain.most_pressure, chain.most_tension
+    values[[PRESSURE, TENSION]] = chain.max_pressure, chain.max_tension
     values[WEIGHT] = chain.float_weight
     return values

@@ -51,9 +51,9 @@ class Method(ABC):
         name: value of the argument ``method``.
         order: order of convergence for smooth motion.
         usual_step: time step for the probe of table 2 [s].
-        least_step: step below which rounding errors are significant [s].
+        min_step: step below which rounding errors are significant [s].
         precision: floating-point type of its kernel.
-        single_share: run time of a single probe divided by that of a full group.
+        single_fraction: run time of a single probe divided by that of a full group.
         memory: numbers per node that it stores between steps.
         on_nodes: whether its mesh has ``nodes_per_pitch`` nodes; equal meshes give equal solutions.
         simulates_withdrawal: whether it simulates compression on the outer wall, and nodes that leave at the root.
@@ -64,9 +64,9 @@ class Method(ABC):
     name: str
     order: int
     usual_step: float
-    least_step: float = 0.0
+    min_step: float = 0.0
     precision: npt.DTypeLike = np.float64
-    single_share: float = 1.0
+    single_fraction: float = 1.0
     memory: int = 3
     on_nodes: bool = True
     simulates_withdrawal: bool = True
@@ -109,9 +109,6 @@ class Method(ABC):
             sensor: node of the sensor; floats from the tip to it are those of the guide.
             nodes_per_pitch: nodes in a float pitch.
             time_step: [s].
-
-        Raises:
-            ValueError: the method does not simulate such a chain.
         """
 
     def with_drag(self, constants: Any, chain: Chain, sensor: int, nodes_per_pitch: int, time_step: float) -> Any:

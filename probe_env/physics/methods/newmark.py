@@ -1,7 +1,5 @@
 """Newmark-beta and Wilson-theta, the methods of the study: coefficients and scratch arrays."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple

@@ -15,8 +15,6 @@ increases for shorter steps (see ``factors.single_factors``). Its statistics at 
 imex down to 5e-5 s.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

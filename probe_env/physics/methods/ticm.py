@@ -1,7 +1,5 @@
 """TICM recursion (17)-(29) and time stepping of the study's methods with it; ``implicit`` also uses its parts."""
 
-from __future__ import annotations
-
 import math
 
 from numba import njit
@@ -78,12 +76,12 @@ def node_equation(chain, scheme, feed_speed, slope, air, state, i, P, q):
     q_y = chain.load[i, 1] - chain.mass * ha_y + inertial * speed
     q_t = chain.load[i, 2] - chain.inertia * ha_t + chain.frame_inertia * (ha_x + slope)
     if chain.couple_turn > 0.0:  # the couple from the tangent at x: V l (theta + x / r), and its work on x
-        turning = max(state.axial_force[i], -chain.most_pressure) * chain.couple_length * chain.couple_turn
+        turning = max(state.axial_force[i], -chain.max_pressure) * chain.couple_length * chain.couple_turn
         q_x -= turning * (d[i, 2] + chain.couple_turn * d[i, 0])
         q_t -= turning * d[i, 0]
 
-    if state.axial_force[i] < -chain.most_pressure:  # more than the buckled cable takes
-        P[i, 5] -= (state.axial_force[i] + chain.most_pressure) * chain.couple_length
+    if state.axial_force[i] < -chain.max_pressure:  # more than the buckled cable takes
+        P[i, 5] -= (state.axial_force[i] + chain.max_pressure) * chain.couple_length
     if chain.drag[i] > 0.0:  # (10)
         relative = air - speed
         q_x += chain.drag[i] * relative * abs(relative)

@@ -4,8 +4,6 @@ Nodes are numbered from the tip (0) to the held root (n), so that a longer probe
 node n - j here. Element i joins nodes i and i + 1, the latter on the root side.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 
@@ -44,8 +42,8 @@ class Chain(NamedTuple):
     float_weight: float  # of a pitch of cable, across the plane [N]; 0 neglects it
     cable_radius: float  # d_c / 2, for contact of the cable
     cable_stiffness: float  # of the wall for the cable; 0 if only floats touch
-    most_pressure: float  # largest compression in the couple [N]; infinite if only floats touch
-    most_tension: float  # largest tension in the couple [N]; infinite if only floats touch
+    max_pressure: float  # largest compression in the couple [N]; infinite if only floats touch
+    max_tension: float  # largest tension in the couple [N]; infinite if only floats touch
     couple_turn: float  # curvature if the couple counts from the tangent of the tube, else 0
     contact_stiffness: FloatArray  # 0 where there is no float
     outer_gap: FloatArray  # d_in - d_f; infinite with the inner wall alone
@@ -95,8 +93,8 @@ def build_chain(scene: Scene, nodes_per_pitch: int = 4, length: float | None = N
         float_weight=probe.line_density * probe.float_pitch * GRAVITY if contact.weight else 0.0,
         cable_radius=probe.cable_diameter / 2.0,
         cable_stiffness=contact.stiffness if contact.cable else 0.0,
-        most_pressure=most_pressure(probe.flexural_rigidity, h, probe.float_pitch) if contact.cable else math.inf,
-        most_tension=most_tension(probe.flexural_rigidity, h) if contact.cable else math.inf,
+        max_pressure=max_pressure(probe.flexural_rigidity, h, probe.float_pitch) if contact.cable else math.inf,
+        max_tension=max_tension(probe.flexural_rigidity, h) if contact.cable else math.inf,
         couple_turn=curvature if scene.couple == "tangent" else 0.0,
         contact_stiffness=np.where(is_float, contact.stiffness, 0.0),
         outer_gap=gap,
@@ -202,7 +200,7 @@ def element_stiffness(chain: Chain) -> FloatArray:
     )
 
 
-def most_pressure(flexural_rigidity: float, element_length: float, float_pitch: float) -> float:
+def max_pressure(flexural_rigidity: float, element_length: float, float_pitch: float) -> float:
     """Largest compression [N] in the couple V l theta if the cable touches the walls.
 
     Beyond pi^2 EI / p^2 the cable has buckled between floats and lies against the walls; beyond EI / h^2 the mesh does
@@ -211,7 +209,7 @@ def most_pressure(flexural_rigidity: float, element_length: float, float_pitch: 
     return flexural_rigidity * min(1.0 / element_length**2, (math.pi / float_pitch) ** 2)
 
 
-def most_tension(flexural_rigidity: float, element_length: float) -> float:
+def max_tension(flexural_rigidity: float, element_length: float) -> float:
     """Largest tension [N] in the couple V l theta: beyond 3 EI / h^2 the mesh does not resolve bending."""
     return 3.0 * flexural_rigidity / element_length**2
 
@@ -224,8 +222,8 @@ def outer_start(chain: Chain, root: int) -> FloatArray:
     d = np.zeros((chain.node_count, 3))
     floats = np.flatnonzero(chain.contact_stiffness[:root] > 0.0)
     index = np.arange(root + 1)
-    share = np.clip((root - index) * chain.element_length / RISE, 0.0, 1.0)
-    y = np.interp(index, floats, chain.outer_gap[floats]) * share**3 * (10.0 - 15.0 * share + 6.0 * share**2)
+    fraction = np.clip((root - index) * chain.element_length / RISE, 0.0, 1.0)
+    y = np.interp(index, floats, chain.outer_gap[floats]) * fraction**3 * (10.0 - 15.0 * fraction + 6.0 * fraction**2)
     lag = chain.sin_phi / chain.cos_phi * (y[:-1] + y[1:])
     d[:root, 0] = -np.cumsum(lag[::-1])[::-1]
     d[: root + 1, 1] = y

@@ -3,8 +3,6 @@
 ``inputs_of_steps`` converts targets to the inputs of every step, for the kernels of all methods.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -3,8 +3,6 @@
 Kernels are compiled without bounds checks, so arrays from callers must be checked here.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -34,7 +34,7 @@ def groups_of(simulators: Sequence[Simulator], running: Sequence[int]) -> list[l
         method = simulators[same[0]].method
         for start in range(0, len(same), method.width):
             group = same[start : start + method.width]
-            groups += [[k] for k in group] if len(group) * method.single_share < 1.0 else [group]
+            groups += [[k] for k in group] if len(group) * method.single_fraction < 1.0 else [group]
     return groups
 
 
@@ -53,9 +53,6 @@ class SimulatorBatch:
         options: of ``Simulator``, equal for all probes.
 
     ``kernel_seconds`` is the run time of the kernels, summed over all threads.
-
-    Raises:
-        ValueError: an argument is not valid.
     """
 
     def __init__(

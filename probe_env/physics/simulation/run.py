@@ -163,7 +163,7 @@ def progress_bar(progress: Progress | bool, start: float, duration: float) -> It
         yield report
 
 
-MOST_SAMPLES: Final = 2**31
+MAX_SAMPLES: Final = 2**31
 """Greatest size of the samples of one call [bytes]."""
 
 
@@ -260,12 +260,12 @@ def node_of(point: str | float, sensor: int, length: float, element_length: floa
 
 
 def check_size(rows: int, points: int) -> None:
-    """Raise ValueError if the samples need more than ``MOST_SAMPLES`` bytes."""
+    """Raise ValueError if the samples need more than ``MAX_SAMPLES`` bytes."""
     size = 8 * CHANNELS * rows * points
-    if size > MOST_SAMPLES:
+    if size > MAX_SAMPLES:
         raise ValueError(
             f"duration, sample_period, points: {rows} samples of {points} points take {size / 2**30:.3g} GiB, more than"
-            f" {MOST_SAMPLES / 2**30:g}: increase sample_period, reduce points or advance in several calls"
+            f" {MAX_SAMPLES / 2**30:g}: increase sample_period, reduce points or advance in several calls"
         )
 
 

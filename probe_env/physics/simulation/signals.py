@@ -1,7 +1,5 @@
 """Statistics of sampled signals, for reports, environments and tests."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.signal import csd, find_peaks, welch
 

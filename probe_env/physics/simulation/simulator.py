@@ -147,8 +147,8 @@ class Simulator:
         self.ramp, self.air_lag = settings["ramp"], settings["air_lag"]
         self.perturbation, self.seed, self.start = settings["perturbation"], seed, settings["start"]
         h = scene.probe.float_pitch / self.nodes_per_pitch
-        longest = math.floor(scene.tube.helix_length / h + 1e-6) * h if self.growing else scene.inserted_length
-        self.chain = build_chain(scene, self.nodes_per_pitch, longest)
+        max_length = math.floor(scene.tube.helix_length / h + 1e-6) * h if self.growing else scene.inserted_length
+        self.chain = build_chain(scene, self.nodes_per_pitch, max_length)
         self._start_root = round(scene.inserted_length / h)
         self.sensor = sensor_node(scene, self.nodes_per_pitch)
         self.constants = self._constants()
@@ -376,10 +376,10 @@ class Simulator:
         Warns of withdrawal or compression with a couple (9) that is not valid for it.
         """
         targets = (("feed_speed", feed_speed, 2.0, "m/s"), ("air_supply_rate", air_supply_rate, 0.2, "m3/s"))
-        for name, value, most, unit in targets:
+        for name, value, maximum, unit in targets:
             if value is None:
                 continue
-            within(name, value, -most, most, unit)
+            within(name, value, -maximum, maximum, unit)
             if value < 0.0 and not self.method.simulates_withdrawal:
                 able = method_names(lambda method: method.simulates_withdrawal)
                 raise ValueError(

@@ -20,7 +20,7 @@ from probe_env.physics.methods import METHODS
 from probe_env.physics.methods.stability import FULL
 from probe_env.schedule import Schedule
 
-MOST_AIR = TaskConfig().air_supply_rates[1]
+MAX_AIR = TaskConfig().air_supply_rates[1]
 STANDARD = PRESETS["standard"]
 NODES = {"standard": Fidelity(method="imex32"), "reference": Fidelity(method="imex", time_step=5e-5)}
 FIDELITIES = {name: PRESETS[name] for name in ("study", "reference", "standard")} | {
@@ -96,17 +96,17 @@ def test_shipped_tubes_and_designs_are_accepted():
     """With a margin of two in the rotation."""
     rng = np.random.default_rng(0)
     tubes = [context for split in ("train", "validation", "test") for context in load_contexts(split)]
-    starts = EpisodeSampler(TaskConfig(), "random", "random", 0.2, MOST_AIR)
-    hard = Schedule("inserted_length", "linear", (5.0,), (0.02,), (MOST_AIR,))
+    starts = EpisodeSampler(TaskConfig(), "random", "random", 0.2, MAX_AIR)
+    hard = Schedule("inserted_length", "linear", (5.0,), (0.02,), (MAX_AIR,))
     for k, context in enumerate(tubes):
         # superelements look for modes and mass of every probe: every seventh tube, of all diameters
         fidelity = STANDARD if k % 7 == 0 else NODES["standard"]
         for design in (*HARDEST, Design(), Design.random(rng)):
             scene = starts.build(context, {"probe": design.built.model_dump()})
-            check_simulable(scene, fidelity, 60.0, MOST_AIR)
+            check_simulable(scene, fidelity, 60.0, MAX_AIR)
             for start, air in sections_of(design, context, hard, TaskConfig())[::4]:
                 check_simulable(start, fidelity, start.inserted_length, air)
-                sliding = steady_sliding(start, start.inserted_length, MOST_AIR, 0.0)
+                sliding = steady_sliding(start, start.inserted_length, MAX_AIR, 0.0)
                 assert sliding.slide * 2.0 / context.helix_diameter < 0.5
 
 
@@ -119,13 +119,13 @@ def test_fidelity_in_the_error_message_is_stable(stiffness, preset):
         assert fidelity.method.contact_step(scene, 4) == pytest.approx(limit)
     if fidelity.time_step > limit:
         with pytest.raises(ValueError, match="give fidelity = ") as error:
-            check_simulable(scene, fidelity, 7.5, MOST_AIR)
+            check_simulable(scene, fidelity, 7.5, MAX_AIR)
         fidelity = Fidelity.model_validate(ast.literal_eval(str(error.value).split("give fidelity = ")[1]))
-    check_simulable(scene, fidelity, 7.5, MOST_AIR)
+    check_simulable(scene, fidelity, 7.5, MAX_AIR)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         batch = SimulatorBatch([scene], fidelity.method, fidelity.time_step, perturbation=1e-5, ramp=0.5, air_lag=1.0)
-    assert not batch.advance(0.4, MOST_AIR, 0.1).diverged.any()
+    assert not batch.advance(0.4, MAX_AIR, 0.1).diverged.any()
 
 
 def test_auto_selects_a_step_that_is_stable_for_all_samples():
@@ -146,23 +146,23 @@ def test_steady_sliding_equals_numerical_integration():
     scene = Scene(probe={"guide_float_diameter": 0.02, "carrier_float_diameter": 0.016, "guide_length": 10.0})
     pieces = 500_000
     ds, r = 60.0 / pieces, 0.6
-    wind = MOST_AIR / (math.pi / 4.0 * (0.0242**2 - 0.00835**2))
+    wind = MAX_AIR / (math.pi / 4.0 * (0.0242**2 - 0.00835**2))
     tension = slide = 0.0
     for k in range(pieces):
         d = 0.02 if k * ds < 10.0 else 0.016
         drag = 0.5 * 0.44 * 1.023 * math.pi / 4.0 * (d**2 - 0.00835**2) / 0.1 * wind**2
         slide += tension * (1.0 / 1.1e5 + 0.1 / (1e5 * r**2)) * ds
         tension += (drag - 0.15 * (1.0 - d / 1.2) * tension / r) * ds
-    closed_form = steady_sliding(scene, 60.0, MOST_AIR, 0.15)
+    closed_form = steady_sliding(scene, 60.0, MAX_AIR, 0.15)
     # the sums are of first order in ds mu / r, and a piece may be on the wrong side of the guide's end
     assert closed_form.slide == pytest.approx(slide, rel=1e-4)
     assert closed_form.tension >= tension
-    plain = steady_sliding(scene.model_copy(update={"probe": Probe()}), 60.0, MOST_AIR, 0.0)
+    plain = steady_sliding(scene.model_copy(update={"probe": Probe()}), 60.0, MAX_AIR, 0.0)
     assert plain.tension == pytest.approx(
         60.0 * 0.5 * 0.44 * 1.023 * math.pi / 4.0 * (0.019**2 - 0.00835**2) / 0.1 * wind**2, rel=1e-12
     )
-    nearly = steady_sliding(scene, 60.0, MOST_AIR, 1e-8)
-    none = steady_sliding(scene, 60.0, MOST_AIR, 0.0)
+    nearly = steady_sliding(scene, 60.0, MAX_AIR, 1e-8)
+    none = steady_sliding(scene, 60.0, MAX_AIR, 0.0)
     assert nearly.slide == pytest.approx(none.slide, rel=1e-5)  # both forms meet
 
 

@@ -237,12 +237,12 @@ def test_every_diameter_has_tubes_over_the_whole_distribution(diameters, seed):
     tubes = Plant.model_validate({"tube": tube, "contact": contact}).contexts(48, seed)
     for count in (24, 48):
         for name, low, width in (("friction", 0.1, 0.1), ("contact_stiffness", 0.9e5, 0.2e5)):
-            shares = {
+            fractions = {
                 d: [(getattr(c, name) - low) / width for c in tubes[:count] if c.helix_diameter == d] for d in diameters
             }
-            assert {len(values) for values in shares.values()} == {count // len(diameters)}
-            assert np.ptp([np.mean(values) for values in shares.values()]) <= 2.0 * len(diameters) / count
-            assert all(np.ptp(values) > 0.5 for values in shares.values()) or count == 24
+            assert {len(values) for values in fractions.values()} == {count // len(diameters)}
+            assert np.ptp([np.mean(values) for values in fractions.values()]) <= 2.0 * len(diameters) / count
+            assert all(np.ptp(values) > 0.5 for values in fractions.values()) or count == 24
 
 
 def test_a_normal_figure_is_truncated_to_its_range():

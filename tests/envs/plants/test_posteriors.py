@@ -1,10 +1,7 @@
 """Posterior of a calibration in the file of a plant: what it replaces, and errors."""
 
-from __future__ import annotations
-
 import json
 import warnings
-from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
@@ -25,19 +22,19 @@ DRAWS = {
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
+def folder(tmp_path):
     """A folder with a calibration."""
     (tmp_path / "calibration.json").write_text(json.dumps({"friction": {"mean": 0.16}, "draws": DRAWS}))
     return tmp_path
 
 
-def plant_of_text(folder: Path, text: str) -> Plant:
+def plant_of_text(folder, text):
     """The plant of a file of this text, in a folder with a calibration."""
     (folder / "tube.toml").write_text(text)
     return Plant.from_toml(folder / "tube.toml")
 
 
-def test_tubes_are_joint_draws(folder: Path) -> None:
+def test_tubes_are_joint_draws(folder):
     """Stiffness is a function of friction, as in the draws; medians are those of the draws."""
     plant = plant_of_text(folder, 'posterior = "calibration.json"\n[tube]\nhelix_diameter = 1.4\n')
     tubes = plant.contexts(96)
@@ -51,7 +48,7 @@ def test_tubes_are_joint_draws(folder: Path) -> None:
     assert set(np.round(factors, 3)) <= {round(v + d, 3) for v in DRAWS["drag_coefficient"] for d in (-1e-3, 0.0, 1e-3)}
 
 
-def test_draws_are_part_of_the_plant(folder: Path) -> None:
+def test_draws_are_part_of_the_plant(folder):
     """Draws are stored with the plant in JSON, and environments sample from them."""
     plant = plant_of_text(folder, 'posterior = "calibration.json"')
     assert Plant.model_validate(json.loads(plant.model_dump_json())) == plant
@@ -60,7 +57,7 @@ def test_draws_are_part_of_the_plant(folder: Path) -> None:
     assert info["context"]["friction"] in np.round(FRICTION, 4)
 
 
-def test_files_that_are_no_calibration_are_refused(tmp_path: Path) -> None:
+def test_files_that_are_no_calibration_are_refused(tmp_path):
     """In one line with file and error."""
     for content, problem in (
         ("{", "not JSON"),
@@ -82,13 +79,13 @@ def test_files_that_are_no_calibration_are_refused(tmp_path: Path) -> None:
             plant_of_text(tmp_path, f'posterior = "{name}"')
 
 
-def test_draws_without_a_file_are_checked() -> None:
+def test_draws_without_a_file_are_checked():
     with pytest.raises(ValueError, match=r"posterior\.draws\.friction = 7\.0 is outside the accepted range 0 to 1"):
         Plant.model_validate({"posterior": {"friction": [0.1, 7.0]}})
 
 
 @pytest.mark.parametrize("misspecified", [False, True])
-def test_a_misspecified_calibration_warns(folder: Path, misspecified: bool) -> None:
+def test_a_misspecified_calibration_warns(folder, misspecified):
     (folder / "calibration.json").write_text(json.dumps({"misspecified": misspecified, "draws": DRAWS}))
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")

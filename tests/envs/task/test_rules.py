@@ -18,11 +18,11 @@ from probe_env.envs.task import (
     consecutive_slack,
     cost_terms,
     ending,
+    fraction_between,
+    fraction_of,
     metre_cost,
     metre_reward,
     reward_terms,
-    share_between,
-    share_of,
     uninspected_weight,
     value_at,
 )
@@ -53,8 +53,10 @@ def test_skipping_a_metre_never_pays():
     inspected = metre_reward(CONFIG, metre_cost(CONFIG, capped_square(CONFIG, ratio), feed, air))
     jerk = CONFIG.jerk_weight * 8.0 / feed / CONFIG.period  # both actions from one end to the other: 2^2 + 2^2
     assert (inspected - jerk > -uninspected_weight(CONFIG)).all()
-    slowest, most = CONFIG.feed_speeds[0], CONFIG.air_supply_rates[1]
-    worst = metre_cost(CONFIG, CONFIG.ratio_cap**2, slowest, most) + CONFIG.jerk_weight * 8.0 / slowest / CONFIG.period
+    slowest, maximum = CONFIG.feed_speeds[0], CONFIG.air_supply_rates[1]
+    worst = (
+        metre_cost(CONFIG, CONFIG.ratio_cap**2, slowest, maximum) + CONFIG.jerk_weight * 8.0 / slowest / CONFIG.period
+    )
     assert uninspected_weight(CONFIG) == pytest.approx(float(worst) + CONFIG.progress_weight, rel=1e-14)
 
 
@@ -92,9 +94,9 @@ def play(config, feed, air, fidelity="fast"):
 def test_a_cost_term_is_one_beyond_its_limit():
     config, load = TaskConfig(tension_limit=20.0), np.full(6, 47.0)
     mean = np.array([5.0, 0.5, 19.0, 21.0, -46.9, -47.1])
-    greatest = np.array([20.0, 1.0, 20.1, 25.0, -40.0, -45.0])
+    maximum = np.array([20.0, 1.0, 20.1, 25.0, -40.0, -45.0])
     is_slack = np.array([False, True, False, False, True, False])
-    costs = cost_terms(config, is_slack, mean, greatest, load)
+    costs = cost_terms(config, is_slack, mean, maximum, load)
     assert tuple(costs) == tuple(COSTS)
     assert costs["lost_drive"].tolist() == [0.0, 1.0, 0.0, 0.0, 1.0, 0.0]
     assert costs["tension"].tolist() == [0.0, 0.0, 1.0, 1.0, 0.0, 0.0]
@@ -185,7 +187,7 @@ def test_slack_periods_are_counted_consecutively():
 
 def test_fractions_and_values_are_inverse():
     values = np.linspace(*CONFIG.feed_speeds, 7)
-    shares = share_between(values, CONFIG.feed_speeds)
-    assert value_at(shares, CONFIG.feed_speeds) == pytest.approx(values, rel=1e-15)
-    assert share_of(action_of(shares)) == pytest.approx(shares, abs=1e-15)
-    assert (share_of(np.array([-1.5, 1.5])) == [0.0, 1.0]).all()
+    fractions = fraction_between(values, CONFIG.feed_speeds)
+    assert value_at(fractions, CONFIG.feed_speeds) == pytest.approx(values, rel=1e-15)
+    assert fraction_of(action_of(fractions)) == pytest.approx(fractions, abs=1e-15)
+    assert (fraction_of(np.array([-1.5, 1.5])) == [0.0, 1.0]).all()

@@ -30,7 +30,7 @@ from probe_env.envs.trials import (
 from probe_env.schedule import Schedule
 
 IMPROVED = Design(guide_length=10.0, guide_float_diameter=0.020, carrier_float_diameter=0.016)
-LONGEST = RANGES["guide_length"][1]
+MAX_LENGTH = RANGES["guide_length"][1]
 
 
 def task(helix_length, **fields):
@@ -51,8 +51,8 @@ def test_sections_cover_the_segment(helix_length, positions):
     """Every metre of the segment belongs to its nearest section."""
     segment = segment_of(task(helix_length))
     assert segment.positions == pytest.approx(positions)
-    assert segment.end == helix_length - LONGEST
-    assert sum(segment.widths) == pytest.approx(segment.span) == helix_length - LONGEST - SENSOR_START
+    assert segment.end == helix_length - MAX_LENGTH
+    assert sum(segment.widths) == pytest.approx(segment.span) == helix_length - MAX_LENGTH - SENSOR_START
     ends = SENSOR_START + np.cumsum(segment.widths)
     for end, near, far in zip(ends, segment.positions, segment.positions[1:], strict=False):
         assert end - near == pytest.approx(far - end)
@@ -203,10 +203,10 @@ def test_the_reward_uses_noise_over_signal(trials):
     """A metre at the limit, S/N 3, costs its weight; half of the noise costs a quarter."""
     noisy, _ = trials
     designs, span = [Design(), Design()], noisy.widths.sum(axis=1)
-    for share in (1.0, 0.5):
-        same = replace(noisy, noise=np.full_like(noisy.noise, share / 3.0))
+    for fraction in (1.0, 0.5):
+        same = replace(noisy, noise=np.full_like(noisy.noise, fraction / 3.0))
         terms, kpis = score_designs(designs, same, SNR)
-        assert terms["vibration"] == pytest.approx(-4.0 * share**2 * span, rel=1e-9)
+        assert terms["vibration"] == pytest.approx(-4.0 * fraction**2 * span, rel=1e-9)
         assert kpis["share_within_limit"] == pytest.approx(1.0, abs=1e-9)
 
 

@@ -9,7 +9,7 @@ from scipy.optimize import brentq
 
 from probe_env import Scene
 from probe_env.physics.closed_forms import GRAVITY, steady_root_tension, tension_for_straight
-from probe_env.physics.closed_forms.route import Segment, least_air, required_root_tension, route_forces, uniform_drag
+from probe_env.physics.closed_forms.route import Segment, min_air, required_root_tension, route_forces, uniform_drag
 
 HELIX, RISING = Segment(helix=True), Segment(length=12.0, slope=90.0)
 AREA = math.pi / 4.0 * (0.0242**2 - 0.00835**2)
@@ -45,8 +45,8 @@ def test_a_bend_divides_or_multiplies_as_a_capstan_does(direction):
 @pytest.mark.parametrize("slope", [90.0, 30.0])
 def test_min_air_balances_a_straight_part(slope):
     route = (Segment(length=12.0, slope=slope), HELIX)
-    least = SCENE.model_copy(update={"air_supply_rate": float(least_air(route, SCENE)[-1])})
-    needed = tension_for_straight(least, 12.0, math.radians(slope))
+    minimum = SCENE.model_copy(update={"air_supply_rate": float(min_air(route, SCENE)[-1])})
+    needed = tension_for_straight(minimum, 12.0, math.radians(slope))
     assert needed > 1.0
     assert required_root_tension(route, SCENE) == pytest.approx(needed, rel=1e-6)
     thin = SCENE.model_copy(update={"air": {"drag_coefficient": 0.3}, "feed_speed": 0.05})
@@ -108,7 +108,7 @@ def test_expanding_air_needs_more_than_uniform_air():
     In the rising part the balance is 2 q A p / (2 q) (sqrt(1 + 2 q x / A p) - 1) = w x.
     """
     route = (Segment(length=30.0, slope=90.0), HELIX)
-    uniform, spread = least_air(route, SCENE), least_air(route, SCENE, expanding(SCENE))
+    uniform, spread = min_air(route, SCENE), min_air(route, SCENE, expanding(SCENE))
 
     def pull(air):
         return float(uniform_drag(SCENE)(np.array(air), np.array(50.0)))
@@ -129,9 +129,9 @@ def test_min_air_leaves_no_force_and_less_is_not_enough():
     route = (Segment(length=3.0), Segment(length=0.8, slope=45.0, bend_radius=0.5), RISING, HELIX)
     rough = SCENE.model_copy(update={"contact": {"friction": 0.4}, "tube": {"helix_diameter": 1.0}})
     for scene in (SCENE, rough):
-        air = least_air(route, scene)
+        air = min_air(route, scene)
         assert np.abs(route_forces(route, scene, air).feed).max() < 1e-6
         assert (route_forces(route, scene, 0.99 * air).feed < 0.0).all()
     # no air: beyond the scene's most
     still = SCENE.model_copy(update={"air": {"drag_coefficient": 0.0}})
-    assert np.isinf(least_air(route, still)).all()
+    assert np.isinf(min_air(route, still)).all()

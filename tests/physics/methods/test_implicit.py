@@ -121,11 +121,11 @@ def test_amplitude_falls_by_the_same_step_each_half_cycle():
 
 def test_a_bounce_does_not_gain():
     """A mass thrown at the wall leaves with at most its speed; for short steps with nearly all of it."""
-    for time_step, least in ((1e-5, 0.99), (1e-4, 0.9), (1e-2, 0.0)):
+    for time_step, minimum in ((1e-5, 0.99), (1e-4, 0.9), (1e-2, 0.0)):
         state = at_rest(2)
         state.d[0, 1], state.v[0, 1] = 1e-3, -1.0
         _, v, _ = integrate(one_float(outer_gap=np.full(2, np.inf)), time_step, round(0.04 / time_step), state)
-        assert least <= v[-1, 0, 1] <= 1.0 + 1e-9
+        assert minimum <= v[-1, 0, 1] <= 1.0 + 1e-9
 
 
 def hard_case(rng):

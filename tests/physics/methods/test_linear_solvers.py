@@ -42,7 +42,7 @@ def random_state(rng, nodes):
 def compressed(chain, rng):
     """The same chain with a cable that touches the walls and a couple that counts from the tangent."""
     return chain._replace(
-        cable_stiffness=10 ** rng.uniform(3.0, 7.0), cable_radius=4e-3, couple_turn=chain.curvature, most_pressure=5.0
+        cable_stiffness=10 ** rng.uniform(3.0, 7.0), cable_radius=4e-3, couple_turn=chain.curvature, max_pressure=5.0
     )
 
 

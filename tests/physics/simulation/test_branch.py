@@ -9,7 +9,7 @@ from probe_env.physics.simulation.simulator import Simulator
 METHODS = ("superelement32", "imex", "newmark", "explicit")
 
 
-def running(method: str) -> SimulatorBatch:
+def running(method):
     scenes = [Context(friction=mu).apply(Scene(carrier_length=3.0, feed_speed=0.2)) for mu in (0.15, 0.25)]
     step = 4e-6 if method == "explicit" else 1e-4
     options = {} if method == "explicit" else {"growing": True, "time_lapse": 4.0, "air_lag": 0.5, "ramp": 0.5}
@@ -19,7 +19,7 @@ def running(method: str) -> SimulatorBatch:
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_copies_are_equal_and_independent(method: str) -> None:
+def test_copies_are_equal_and_independent(method):
     batch, alone = running(method), running(method)
     copies = batch.branch([1, 0, 1])
     other = copies.advance(np.array([0.3, 0.3, 0.1]), 0.02, 0.1, 1e-3)
@@ -33,7 +33,7 @@ def test_copies_are_equal_and_independent(method: str) -> None:
     assert other.feed_speed[2] < after.feed_speed[1]
 
 
-def test_a_state_is_displaced_radially_at_its_free_nodes_alone() -> None:
+def test_a_state_is_displaced_radially_at_its_free_nodes_alone():
     simulator = running("imex").simulators[0]
     before, moved = simulator.state.d.copy(), np.linspace(1e-6, 2e-6, simulator.root)
     simulator.displace(moved)
@@ -44,7 +44,7 @@ def test_a_state_is_displaced_radially_at_its_free_nodes_alone() -> None:
         simulator.displace(moved[1:])
 
 
-def test_length_in_helix_is_limited() -> None:
+def test_length_in_helix_is_limited():
     scene = Scene(carrier_length=3.0, tube={"helix_length": 6.0})
     simulator = Simulator(scene, "superelement32", 2e-4, growing=True, time_lapse=4.0)
     assert simulator.length_in_helix == simulator.inserted_length == pytest.approx(scene.inserted_length)
@@ -53,7 +53,7 @@ def test_length_in_helix_is_limited() -> None:
     assert simulator.length_in_helix == 6.0
 
 
-def test_a_copy_in_another_tube() -> None:
+def test_a_copy_in_another_tube():
     batch = running("superelement32")
     rougher = batch.simulators[0].scene.model_copy(update={"contact": {"friction": 0.3}})
     same, other = batch.branch([0, 0]).simulators[0], batch.branch([0], {0: rougher}).simulators[0]
@@ -66,7 +66,7 @@ def test_a_copy_in_another_tube() -> None:
     assert tension[1] == truth[1]
 
 
-def test_bad_arguments() -> None:
+def test_bad_arguments():
     batch = running("imex")
     longer = Scene(carrier_length=3.0, probe={"float_pitch": 0.05})
     with pytest.raises(ValueError, match=r"scene: \d+ nodes of 0\.0125 m"):

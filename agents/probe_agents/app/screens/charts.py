@@ -1,7 +1,5 @@
 """Charts of insertions: lines over the length, the unrolled tube, slow motion, and signals with a flaw."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any, Final

@@ -1,7 +1,5 @@
 """Screen of comparisons: the report of a stored evaluation, or the table of a comparison of designs."""
 
-from __future__ import annotations
-
 from html import escape
 from pathlib import Path
 from typing import Final

@@ -1,7 +1,5 @@
 """Screen of insertions: what to run, the running insertion, and the list of runs."""
 
-from __future__ import annotations
-
 import math
 import time
 from html import escape

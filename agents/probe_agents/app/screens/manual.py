@@ -1,7 +1,5 @@
 """Screen of the manual drive: feed and air by sliders, next to a policy in the same tube."""
 
-from __future__ import annotations
-
 from html import escape
 from typing import Any, ClassVar, Final
 

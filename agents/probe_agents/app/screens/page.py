@@ -1,7 +1,5 @@
 """The page: screens, keyboard, and the timer that shows changes of the queue."""
 
-from __future__ import annotations
-
 import time
 from pathlib import Path
 from typing import Final

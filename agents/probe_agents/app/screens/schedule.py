@@ -1,7 +1,5 @@
 """Screen of the schedule: points to drag and type, the prediction of the vibration map, and overlays."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool

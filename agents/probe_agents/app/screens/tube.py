@@ -1,7 +1,5 @@
 """Screen of tube and probe: the fields of the tube file, drawings to scale, and a calibration."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from html import escape
 from pathlib import Path

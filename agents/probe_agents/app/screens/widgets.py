@@ -1,7 +1,5 @@
 """Appearance of the pages: theme, text, controls, layout, charts, and the base of the screens."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from html import escape
 from typing import Any, Final
@@ -240,8 +238,8 @@ def row(*children: Any, **styles: str) -> Row:
 
 def columns(*children: tuple[Any, int, int]) -> Row:
     """Columns (child, minimum width in pixels, share of the width), one below the other on a narrow page."""
-    for child, least, share in children:
-        child.styles = {**child.styles, "flex": f"{share} 1 {least}px", "min-width": "0"}
+    for child, minimum, fraction in children:
+        child.styles = {**child.styles, "flex": f"{fraction} 1 {minimum}px", "min-width": "0"}
     return row(*(child for child, *_ in children), **{"align-items": "flex-start"})
 
 

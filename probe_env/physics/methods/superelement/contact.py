@@ -16,8 +16,6 @@ applied. The dashpot represents the damping that the rule subtracts from the cab
 applied at the wall only, it reduces the vibration at 30 m by a quarter.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -30,7 +28,7 @@ from probe_env.physics.model.chain import Chain
 
 PHASES = 32
 """Number of phase differences between neighbouring pieces."""
-LEAST = 0.8
+MIN_FRACTION = 0.8
 """Least fitted stiffness divided by the contact stiffness."""
 
 
@@ -59,7 +57,7 @@ class PeriodicRow:
             back @ matrix @ turned for matrix in (piece.mass, piece.stiffness, piece.couple)
         )
 
-    def least_mass(self, damping_time: float, time_step: float) -> float:
+    def min_mass(self, damping_time: float, time_step: float) -> float:
         """Least effective mass [kg] for a radial kick of a float, that of M + theta dt tau K, over all phases."""
         theta, tau = linear_weights(damping_time, time_step)
         return float(1.0 / _radial(self.mass + theta * time_step * tau * self.stiffness).real.max())
@@ -104,10 +102,10 @@ def fitted_stiffness(whole: Pitch, reduced: Pitch, stiffness: float, damping_tim
     missing -= 1.0 / row.stepped_compliance(corner, damping_time, time_step)
     behind = (1.0 - np.exp(-1j * corner * time_step)) / time_step
     dashpot = missing.imag / behind.imag
-    return float(min(max(missing.real - dashpot * behind.real, LEAST * stiffness), stiffness))
+    return float(min(max(missing.real - dashpot * behind.real, MIN_FRACTION * stiffness), stiffness))
 
 
-def most_tension(piece: Pitch, time_step: float, theta: float, tau: float) -> float:
+def max_tension(piece: Pitch, time_step: float, theta: float, tau: float) -> float:
     """0.9 times the tension [N] at which dt^2 V lambda = 4, lambda the largest eigenvalue of A^-1 times ``couple``."""
     row = PeriodicRow(piece)
     both = np.linalg.solve(row.mass + theta * time_step * tau * row.stiffness, row.couple)

@@ -3,8 +3,6 @@
 The state is packed into lanes, advanced by a kernel and unpacked; see lane_group.py.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Hashable, Sequence
 from typing import Any
@@ -49,10 +47,10 @@ from probe_env.physics.methods.superelement.tables import (
     HALF_MASS,
     K_EVEN,
     K_ODD,
-    LEAST,
-    MOST,
+    MAX_MODES,
+    MIN_MODES,
     Tables,
-    longest_step,
+    max_step,
     tables,
 )
 from probe_env.physics.model.chain import Chain, build_chain
@@ -61,9 +59,9 @@ from probe_env.physics.model.state import State, at_rest
 from probe_env.scene import Scene
 
 MOMENTUM = 3
-MEMORY = MOMENTUM + 4 * MOST
+MEMORY = MOMENTUM + 4 * MAX_MODES
 """Momentum, then q and p of the even and of the odd modes; only rows of floats are used."""
-ROOMS = (LEAST, (3, 3), (MOST, MOST))
+ROOMS = (MIN_MODES, (3, 3), (MAX_MODES, MAX_MODES))
 """Numbers of even and odd modes of the kernels."""
 
 
@@ -166,7 +164,7 @@ INSTEAD = "imex with 8 nodes a pitch simulates it"
 STABLE, UNSTABLE = 1.65, 1.8
 """Largest omega dt of a float on its contact spring at which runs were stable (including 96 random probes and tubes of
 10 to 50 m), and least at which they diverge."""
-LONGEST_STEP = 5e-4
+MAX_STEP = 5e-4
 """Largest step with soft contact [s]; at 1e-3 s runs with 1e4 N/m diverge."""
 
 
@@ -180,7 +178,7 @@ class Superelement(LaneMethod):
     name = "superelement"
     order = 2
     usual_step = 2e-4
-    single_share = 0.5
+    single_fraction = 0.5
     memory = MEMORY
     on_nodes = False
     simulates_withdrawal = False
@@ -195,12 +193,12 @@ class Superelement(LaneMethod):
     def stable_step(self, scene: Scene, nodes_per_pitch: int) -> float:
         """Largest step [s] known to be stable; 0 for a cable with less damping than in the study."""
         damped = scene.probe.damping_time >= TABLE_2_DAMPING
-        step = longest_step(build_chain(scene, nodes_per_pitch), nodes_per_pitch, STABLE)
-        return min(step, LONGEST_STEP) if damped else 0.0
+        step = max_step(build_chain(scene, nodes_per_pitch), nodes_per_pitch, STABLE)
+        return min(step, MAX_STEP) if damped else 0.0
 
     def contact_step(self, scene: Scene, nodes_per_pitch: int) -> float:
         """Largest step [s] that explicit contact allows."""
-        return longest_step(build_chain(scene, nodes_per_pitch), nodes_per_pitch, UNSTABLE)
+        return max_step(build_chain(scene, nodes_per_pitch), nodes_per_pitch, UNSTABLE)
 
     def at_rest(self, chain: Chain, nodes_per_pitch: int, time_step: float, root: int, d: FloatArray) -> State:
         """A state at rest with displacements d (n + 1, 3) [m, rad]; q is a least-squares fit, p is zero.
@@ -242,7 +240,7 @@ class Superelement(LaneMethod):
         values[layout.STIFFNESS], values[layout.MASS_RATIO], values[layout.TENSION] = (
             table.stiffness,
             1.0,
-            table.most_tension,
+            table.max_tension,
         )
         values[layout.SENSOR] = sensor // nodes_per_pitch
         drag = chain.drag[:-1:nodes_per_pitch]
@@ -353,9 +351,9 @@ class Superelement32(Superelement):
     """``Superelement`` in single precision; groups of eight probes."""
 
     name = "superelement32"
-    least_step = 5e-5
+    min_step = 5e-5
     precision = np.float32
-    single_share = 0.33
+    single_fraction = 0.33
 
     @property
     def in_double(self) -> Method:

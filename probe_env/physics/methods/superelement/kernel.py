@@ -15,8 +15,6 @@ state is a float with the piece on its root side. The piece at the root is a par
 lane: these rows have separate constants (see ``assign_roots``).
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 from probe_env.arrays import FloatArray

@@ -7,8 +7,6 @@ and v_i = u_i - U_i v_{i+1}, go from float to float. All numbers come from the s
 Field f of float i is in row (i // lanes) fields + f of the state, lane i % lanes.
 """
 
-from __future__ import annotations
-
 from probe_env.physics.methods.factors import linear_weights
 from probe_env.physics.methods.imex import load_wall, magnitude, sample_due
 from probe_env.physics.methods.lane_group import CURVATURE, DAMPING, PEAK, TENSION, WEIGHT

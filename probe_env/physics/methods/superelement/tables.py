@@ -4,8 +4,6 @@ A piece is a pitch, or at the root 1 to n nodes of it; the cable can be held at 
 from one fine mesh and have equal numbers of even and odd modes.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import lru_cache
@@ -19,7 +17,7 @@ from probe_env.physics.methods.superelement.contact import (
     PeriodicRow,
     contact_frequency,
     fitted_stiffness,
-    most_tension,
+    max_tension,
 )
 from probe_env.physics.methods.superelement.pitch import ENDS, Pitch, condensed, halves, refined
 from probe_env.physics.model.chain import Chain, cable_of, linear_part
@@ -28,7 +26,7 @@ ELEMENTS = 16
 """Elements of the fine mesh per pitch."""
 REACH = 1.8
 """Highest frequency of the modes divided by the contact frequency."""
-LEAST, MOST = (2, 1), 5
+MIN_MODES, MAX_MODES = (2, 1), 5
 """Least numbers of even and odd modes, and largest number of either kind."""
 
 # constants of a piece: blocks of its ends' unknowns, axial force and mass, then its modes
@@ -37,12 +35,12 @@ EVEN = 40
 # of a mode: theta dt times its stiffness, dt times it, mass to the L end, couple with the L end and with the modes of
 # its parity, axial force
 ELASTIC, FORCE, CARRIED, COUPLE, AXIAL, TO_MODES = 0, 1, 2, 5, 8, 9
-MODE = TO_MODES + MOST
-ODD = EVEN + MOST * MODE
-CONSTANTS = ODD + MOST * MODE
+MODE = TO_MODES + MAX_MODES
+ODD = EVEN + MAX_MODES * MODE
+CONSTANTS = ODD + MAX_MODES * MODE
 FACTORS = 27
 SETTLED = 8.0 * np.finfo(float).eps
-MOST_FACTORS = 1000
+MAX_FACTORS = 1000
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +54,7 @@ class Tables:
         root_factors: (n, k, 27) factors if the next piece is at the root and has 1, ..., n nodes.
         growth: (n, 6 + 2 m, 6 + 2 m), see ``_growth``.
         shape: (n, n, 3, 6 + m) displacement at the nodes 0, ..., n - 1 from the L end of each piece.
-        most_tension: largest tension at which the explicit couple is stable [N].
+        max_tension: largest tension at which the explicit couple is stable [N].
         stiffness: fitted contact stiffness for this step, see contact.py [N/m].
     """
 
@@ -67,7 +65,7 @@ class Tables:
     root_factors: FloatArray
     growth: FloatArray
     shape: FloatArray
-    most_tension: float
+    max_tension: float
     stiffness: float
 
 
@@ -84,32 +82,34 @@ def tables(chain: Chain, nodes_per_pitch: int, time_step: float) -> Tables:
     return _tables(linear_part(chain), float(chain.contact_stiffness.max()), nodes_per_pitch, time_step, ELEMENTS)
 
 
-def longest_step(chain: Chain, nodes_per_pitch: int, limit: float) -> float:
+def max_step(chain: Chain, nodes_per_pitch: int, limit: float) -> float:
     """Step [s] at which omega dt of a float with its cable on the contact spring is ``limit``."""
-    return _longest_step(linear_part(chain), float(chain.contact_stiffness.max()), nodes_per_pitch, limit)
+    return _max_step(linear_part(chain), float(chain.contact_stiffness.max()), nodes_per_pitch, limit)
 
 
 @lru_cache(maxsize=256)
-def _longest_step(linear: tuple[float, ...], stiffness: float, per_pitch: int, limit: float) -> float:
+def _max_step(linear: tuple[float, ...], stiffness: float, per_pitch: int, limit: float) -> float:
     chain = cable_of(linear)
     whole = _piece(linear, per_pitch, ELEMENTS, per_pitch)
     row = PeriodicRow(_chosen(whole, *_modes(whole, chain, stiffness, per_pitch, ELEMENTS), 0.0))
 
     def beyond(step: float) -> float:
-        return step * math.sqrt(stiffness * row.least_mass(chain.damping_time, step) ** -1) - limit
+        return step * math.sqrt(stiffness * row.min_mass(chain.damping_time, step) ** -1) - limit
 
     return float(brentq(beyond, 1e-8, 1.0, rtol=1e-6))
 
 
 def _modes(whole: Pitch, chain: Chain, stiffness: float, per_pitch: int, elements: int) -> tuple[int, int]:
-    """Numbers of even and odd modes for a contact stiffness, at least ``LEAST``."""
+    """Numbers of even and odd modes for a contact stiffness, at least ``MIN_MODES``."""
     reach = REACH * contact_frequency(chain, stiffness)
     below, kinds = whole.frequencies[: whole.modes] <= reach, (whole.even, ~whole.even)
-    even, odd = (min(max(n, int((below & kind).sum())), int(kind.sum())) for n, kind in zip(LEAST, kinds, strict=True))
-    if max(even, odd) > MOST:
+    even, odd = (
+        min(max(n, int((below & kind).sum())), int(kind.sum())) for n, kind in zip(MIN_MODES, kinds, strict=True)
+    )
+    if max(even, odd) > MAX_MODES:
         raise ValueError(
             f"contact.stiffness asks for modes up to {reach:.0f} Hz, {even} even and {odd} odd ones: superelement has"
-            f" room for {MOST} and {MOST}; imex with 8 or more nodes a pitch simulates it"
+            f" room for {MAX_MODES} and {MAX_MODES}; imex with 8 or more nodes a pitch simulates it"
         )
     inner = 3 * (elements // per_pitch // 2)  # unknowns of half a piece; y of its middle is even, x and theta are odd
     if even > inner - 2 or odd > inner - 1:
@@ -142,8 +142,10 @@ def _tables(linear: tuple[float, ...], stiffness: float, per_pitch: int, time_st
         factors, root_factors,
         np.array([_growth(chain, pieces, k, per_pitch, elements) for k in range(per_pitch)]),
         np.array([_shape(piece, per_pitch, elements) for piece in pieces]),
-        most_tension(pieces[-1], time_step, theta, tau),
-        fitted_stiffness(_chosen(whole, MOST, MOST, 0.0), pieces[-1], stiffness, chain.damping_time, time_step),
+        max_tension(pieces[-1], time_step, theta, tau),
+        fitted_stiffness(
+            _chosen(whole, MAX_MODES, MAX_MODES, 0.0), pieces[-1], stiffness, chain.damping_time, time_step
+        ),
     )  # fmt: skip
 
 
@@ -210,7 +212,7 @@ def _factors(pieces: list[Pitch], tip: FloatArray, weight: float) -> tuple[Float
     roots: list[list[FloatArray]] = []
     rest = tip  # contribution to S from the side of the tip
     none = np.zeros((3, 3))
-    while len(rows) < MOST_FACTORS:
+    while len(rows) < MAX_FACTORS:
         E = np.linalg.inv(rest + whole[:3, :3])
         rows.append(np.concatenate([E, E @ behind, E @ ahead]).ravel())
         held = [np.linalg.inv(rest + block[:3, :3]) for block in blocks]

@@ -16,8 +16,8 @@ CLAMPED = (4.730040745, 7.853204624, 10.99560784)
 """Roots of cos(x) cosh(x) = 1: bending of a bar with both ends held."""
 
 
-def piece(elements, scene=SCENE, share=1.0):
-    return build_chain(scene, round(elements / share), length=share * scene.probe.float_pitch)
+def piece(elements, scene=SCENE, fraction=1.0):
+    return build_chain(scene, round(elements / fraction), length=fraction * scene.probe.float_pitch)
 
 
 def assembled(pitch, count):
@@ -108,7 +108,7 @@ def test_modes_of_a_straight_piece_are_a_clamped_bar_s():
 
 def test_free_motion_strains_nothing():
     """Sliding along the tube and the rigid turn of a straight piece cost no energy; the mean axial force is zero."""
-    for chain in (piece(16), piece(12, share=0.75), piece(4, share=0.25)):
+    for chain in (piece(16), piece(12, fraction=0.75), piece(4, fraction=0.25)):
         pitch = condensed(chain, 3)
         free = np.array([1.0, 0.0, -2.0 * chain.sin_phi / chain.element_length])
         z = np.r_[free, free, np.zeros(3)]

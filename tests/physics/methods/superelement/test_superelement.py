@@ -127,8 +127,8 @@ def test_the_compliance_in_steps_is_that_of_the_steps():
 def test_contact_is_fitted_where_the_step_shows():
     """On table 2: seven hundredths less at 2e-4 s, and less of it as the step shrinks, down to what the modes lack."""
     chain = build_chain(Scene(), 4)
-    share = [tables.tables(chain, 4, step).stiffness / 1e5 for step in (2e-4, 1e-4, 5e-5, 2e-5)]
-    assert_allclose(share, [0.927, 0.977, 0.988, 0.991], atol=2e-3)
+    fraction = [tables.tables(chain, 4, step).stiffness / 1e5 for step in (2e-4, 1e-4, 5e-5, 2e-5)]
+    assert_allclose(fraction, [0.927, 0.977, 0.988, 0.991], atol=2e-3)
     more = contact.fitted_stiffness(
         *(tables._piece(linear_part(chain), 4, 16, 4).select_modes(range(m)) for m in (14, 12)), 1e5, 5e-5, 1e-6
     )
