@@ -15,6 +15,7 @@ from probe_env.envs.task.observations import in_si_units
 from probe_env.fidelity import resolve_fidelity
 from probe_env.files import FileError
 from probe_env.inspection.metrics import TURN
+from probe_env.physics.methods import METHODS
 from probe_env.schedule import Schedule
 
 SHORT = {"tube": {"helix_length": 8.0}}
@@ -215,7 +216,7 @@ def test_methods_without_withdrawal_are_refused():
     ):
         with pytest.raises(ValueError, match=message):
             gym.make("probe_env/Inspection-v0", fidelity=fidelity)
-    assert resolve_fidelity("study", round_trip=True).method == "newmark"
+    assert resolve_fidelity("study", round_trip=True).method is METHODS["newmark"]
     with pytest.raises(ValidationError, match="needs growing = true"):
         TaskConfig(passes="both", growing=False)
 

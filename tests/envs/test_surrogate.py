@@ -49,9 +49,9 @@ def test_spaces_and_infos_are_those_of_a_simulated_insertion():
     assert infos[0]["reward_terms"]["air"] == pytest.approx(infos[1]["reward_terms"]["air"], rel=1e-6)
 
 
-def test_batches_accept_either_name_of_the_surrogate():
-    assert resolve_fidelity("map") == resolve_fidelity("surrogate") == PRESETS["surrogate"]
-    vector = gym.make_vec("probe_env/Insertion-v1", num_envs=2, fidelity="map")
+def test_batches_of_the_surrogate_predict():
+    assert resolve_fidelity("surrogate") == PRESETS["surrogate"]
+    vector = gym.make_vec("probe_env/Insertion-v1", num_envs=2, fidelity="surrogate")
     assert isinstance(vector.unwrapped.episodes.backend, Predicted)
     batch = ProbeVecEnv("probe_env/Insertion-v1", 2, fidelity={"method": "surrogate"}, contexts="train")
     batch.reset()
@@ -219,4 +219,4 @@ def test_policies_keep_their_order():
 def test_agents_train_in_it_and_are_validated_by_simulation():
     assert Training.model_validate({"environment": {"fidelity": "surrogate"}}).environment.fidelity == "surrogate"
     with pytest.raises(ValueError, match="agents must be validated by simulation"):
-        Training.model_validate({"validation": {"fidelity": "map"}})
+        Training.model_validate({"validation": {"fidelity": "surrogate"}})
