@@ -22,7 +22,7 @@ myst_heading_anchors = 4
 myst_enable_extensions = ["dollarmath"]
 html_math_renderer = "mathml"
 
-# what the code says of itself, with types
+# API pages from docstrings, with types
 autodoc_typehints = "signature"
 autodoc_typehints_format = "short"
 autodoc_member_order = "bysource"
@@ -32,7 +32,7 @@ napoleon_use_ivar = True
 napoleon_attr_annotations = False
 python_display_short_literal_types = True
 
-# it opens from disk and asks nothing from outside: no fonts, no scripts, no search summaries by request
+# opens from disk; no external requests: no fonts, no scripts, no search summaries
 html_theme = "furo"
 html_static_path = html_css_files = ["site.css"]
 html_show_copyright = False

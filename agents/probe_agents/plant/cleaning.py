@@ -5,7 +5,7 @@ from typing import Final
 
 import numpy as np
 
-from probe_agents.records.quantities import QUANTITIES, plain, split_head
+from probe_agents.records.quantities import QUANTITIES, split_head
 from probe_agents.records.reader import Channels, IntArray, Table
 from probe_agents.records.times import DAY
 from probe_env.arrays import FloatArray
@@ -157,7 +157,9 @@ def _merged(channels: Channels, rows: IntArray, bounds: Bounds) -> tuple[FloatAr
         problem = f"{len(rows)} rows have a time" if len(rows) else "the whole column is empty"
         raise table.error(0, f"{problem}: at least two rows with a time are needed", k)
     number = not channels.written_out
-    unit = f"is the unit of time right? - declare it, --columns '{plain(split_head(table.heads[k])[0])}=time[UNIT]'"
+    unit = (
+        f"is the unit of time right? - declare it, --columns '{normalized(split_head(table.heads[k])[0])}=time[UNIT]'"
+    )
     time = np.round(channels.time[rows] - channels.time[rows[0]], DIGITS)
     steps, maximum = np.diff(time), POSITIONS["time_s"][1]
     if steps.min() < 0.0:

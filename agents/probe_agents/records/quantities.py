@@ -123,19 +123,19 @@ def split_head(head: str) -> tuple[str, str]:
     if suffix := _SUFFIX.fullmatch(head.strip().lower()):
         unit = suffix[2].replace("_per_", "/")
         return head.strip()[: suffix.end(1)], _CAPITALS.get(unit, unit)
-    if (behind := _BEHIND.fullmatch(head.strip())) and plain(behind[1]) in _BY_HEAD:
+    if (behind := _BEHIND.fullmatch(head.strip())) and normalized(behind[1]) in _BY_HEAD:
         return behind[1].strip(), behind[2]
     return head.strip(), ""
 
 
-def plain(words: str) -> str:
+def normalized(words: str) -> str:
     """Words of a heading for comparison: lower case, single spaces."""
     return re.sub(r"[\s_.,\-:/]+", " ", words).strip().casefold()
 
 
 def quantity_of(head: str) -> str | None:
     """Quantity (or ``DATE``) of a heading; None if it is unknown."""
-    words = plain(split_head(head)[0])
+    words = normalized(split_head(head)[0])
     if mean := _BY_HEAD.get(re.sub(r" (?:avg|mean|smp)$", "", words)):
         return mean if mean not in QUANTITIES or not QUANTITIES[mean].rms or words in _BY_HEAD else None
     return _BY_HEAD.get(re.sub(r" (?:rms|eff|effektiv)$", "", words))
@@ -150,7 +150,7 @@ class ColumnOption(NamedTuple):
 
     def means(self, head: str) -> bool:
         """Whether a heading of the file, with or without its unit, equals ``head``."""
-        return plain(self.head) in (plain(head), plain(split_head(head)[0]))
+        return normalized(self.head) in (normalized(head), normalized(split_head(head)[0]))
 
 
 def parse_columns(texts: Sequence[str]) -> tuple[ColumnOption, ...]:

@@ -32,7 +32,7 @@ from probe_agents.records.quantities import (
     Quantity,
     UnknownUnitError,
     looks_like_unit,
-    plain,
+    normalized,
     quantity_of,
     si_factor,
     split_head,
@@ -312,9 +312,11 @@ def _convert(
                     factors[name] = DAY
                 elif len(present) and 0.0 < np.ptp(present) < SHORTEST_STEP * (len(present) - 1):
                     problem = f"without a unit, rows are less than {SHORTEST_STEP:g} s apart"
-                    raise CellError(0, f"{problem}: declare it, --columns '{plain(head)}=time[UNIT]' (s, min, h or d)")
+                    raise CellError(
+                        0, f"{problem}: declare it, --columns '{normalized(head)}=time[UNIT]' (s, min, h or d)"
+                    )
                 elif missing is None:
-                    hint = f"declare it, --columns '{plain(head)}=time[UNIT]'"
+                    hint = f"declare it, --columns '{normalized(head)}=time[UNIT]'"
                     raise FileError(table.path, f"column {head!r} has no unit: {hint}")
                 else:
                     notes.append(f"The column {head!r} has no unit and is read as seconds.")
@@ -337,11 +339,15 @@ def _fractions(table: Table, k: int, time: FloatArray, units: Mapping[str, str],
     if (time[~np.isnan(time)] % 1.0).any():
         return np.zeros(len(time))
     head = table.heads[k]
-    unit = units.get(FRACTION) or _written_unit(table, k) or FRACTION_UNITS.get(plain(head), "")
+    unit = units.get(FRACTION) or _written_unit(table, k) or FRACTION_UNITS.get(normalized(head), "")
     if not unit:
-        raise FileError(table.path, f"column {head!r} has no unit: declare it, --columns '{plain(head)}=fraction[ms]'")
+        raise FileError(
+            table.path, f"column {head!r} has no unit: declare it, --columns '{normalized(head)}=fraction[ms]'"
+        )
     fractions = _numbers(table.columns[k], sign) * si_factor(unit, QUANTITIES["time"])
-    problem = f"is not a fraction of a second, 0 to less than 1 s: leave it out, --columns '{plain(head)}={IGNORED}'"
+    problem = (
+        f"is not a fraction of a second, 0 to less than 1 s: leave it out, --columns '{normalized(head)}={IGNORED}'"
+    )
     check(table.columns[k], ~((fractions < 0.0) | (fractions >= 1.0)), problem)
     return fractions
 
@@ -653,7 +659,7 @@ def _factor(table: Table, quantity: Quantity, k: int, units: Mapping[str, str]) 
     if not unit and quantity.name == "time":
         unit = quantity.unit
     if not unit:
-        hint = f"declare it, --columns '{plain(head)}={quantity.name}[UNIT]'"
+        hint = f"declare it, --columns '{normalized(head)}={quantity.name}[UNIT]'"
         raise FileError(table.path, f"column {head!r} has no unit: {hint}")
     try:
         factor = si_factor(unit, quantity)
@@ -661,7 +667,7 @@ def _factor(table: Table, quantity: Quantity, k: int, units: Mapping[str, str]) 
             with suppress(UnknownUnitError):
                 si_factor(written, quantity)
     except ValueError as error:
-        problem = str(error).replace("'HEAD=", f"'{plain(split_head(head)[0])}=")
+        problem = str(error).replace("'HEAD=", f"'{normalized(split_head(head)[0])}=")
         raise FileError(table.path, f"column {head!r}: {problem}") from error
     return factor
 
