@@ -5,7 +5,7 @@ from typing import Final
 
 import numpy as np
 
-from probe_agents.records.quantities import QUANTITIES, split_head
+from probe_agents.records.quantities import QUANTITIES, normalized, split_head
 from probe_agents.records.reader import Channels, IntArray, Table
 from probe_agents.records.times import DAY
 from probe_env.arrays import FloatArray
