@@ -4,7 +4,7 @@ import numpy as np
 
 from probe_env.physics.closed_forms import bare_chains
 from probe_env.physics.methods import ticm
-from probe_env.physics.methods.newmark import workspace
+from probe_env.physics.methods.newmark import newmark, workspace
 from probe_env.physics.model.chain import element_blocks, element_stiffness
 from probe_env.physics.model.drive import Drive
 from probe_env.physics.model.state import at_rest
@@ -43,6 +43,13 @@ def integrate(chain, scheme, d=None, v=None, a=None, steps=1, every=1, **inputs)
     status, samples = advance(chain, scheme, state, steps, every, **inputs)
     assert status == ticm.OK
     return samples, state
+
+
+def tip_equation(chain, inputs, state):
+    """P and q of (17) at the tip, for feed speed, its slope and air speed."""
+    work = workspace(chain.node_count)
+    ticm.node_equation(chain, newmark(1e-4), *inputs[:3], state, 0, work.P, work.q)
+    return work.P[0], work.q[0]
 
 
 def matrices(chain):

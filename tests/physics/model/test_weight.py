@@ -4,8 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from oracles import banded
-from oracles.chains import uniform_chain
+from oracles.chains import tip_equation, uniform_chain
 
 from probe_env import Fidelity, Scene, Simulator, SimulatorBatch
 from probe_env.envs.episodes.limits import check_fidelity
@@ -14,7 +13,6 @@ from probe_env.envs.task import TaskConfig
 from probe_env.envs.vibration_map import stored_map
 from probe_env.physics.closed_forms import steady_tensions
 from probe_env.physics.methods import METHODS
-from probe_env.physics.methods.newmark import newmark, workspace
 from probe_env.physics.model.chain import build_chain
 from probe_env.physics.model.state import at_rest
 from probe_env.physics.simulation.batch import groups_of
@@ -49,12 +47,8 @@ def test_force_on_one_float(y, depth, v_x, direction):
     chain = uniform_chain(1, contact_stiffness=np.array([k, 0.0]), outer_gap=np.full(2, 5.2e-3))._replace(friction=mu)
     state = at_rest(2)
     state.d[0, 1], state.v[0, 0] = y, v_x
-    found = []
-    for one in (chain, chain._replace(float_weight=w)):
-        work = workspace(2)
-        banded.node_equations(one, newmark(1e-4), np.array([0.2, 0.0, 0.0, 0.0]), 1, state, work)
-        found.append((work.P[0].copy(), work.q[0].copy()))
-    (P, q), (P_weight, q_weight) = found
+    inputs = (0.2, 0.0, 0.0)
+    (P, q), (P_weight, q_weight) = (tip_equation(one, inputs, state) for one in (chain, chain._replace(float_weight=w)))
     normal = k * depth
     assert (P_weight == P).all()
     added = -direction * mu * (math.sqrt(normal**2 + w**2) - normal)
