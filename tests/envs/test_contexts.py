@@ -65,8 +65,3 @@ def test_batch_shares_a_list_in_turn(fidelity):
     for expected in ([0.1, 0.11], [0.12, 0.13]):
         batch.reset()
         assert [round(info["context"]["friction"], 6) for info in batch.reset_infos] == expected
-
-
-def test_random_tubes_have_no_turn():
-    with pytest.raises(ValueError, match="in_turn = True needs a list of tubes: contexts = 'train', 'validation'"):
-        gym.make("probe_env/Insertion-v1", in_turn=True)

@@ -16,7 +16,6 @@ import probe_env
 from probe_env.envs.contexts import Ranges
 from probe_env.inspection.detection import DEPTHS
 
-IDS = pytest.mark.parametrize("env_id", ["probe_env/Insertion-v1", "probe_env/Snapshot-v1", "probe_env/Inspection-v0"])
 SHORT = {
     "probe_env/Insertion-v1": {"fidelity": "fast"},
     "probe_env/Snapshot-v1": {},
@@ -26,6 +25,8 @@ SNAPSHOT = {"scene": {"carrier_length": 8.0}}
 CHECKED = [
     pytest.param("probe_env/Insertion-v1", {"fidelity": "fast"}, marks=pytest.mark.slow),
     pytest.param("probe_env/Inspection-v0", {"fidelity": "fast"}, marks=pytest.mark.slow),
+    pytest.param("probe_env/Design-v1", {}, marks=pytest.mark.slow),
+    pytest.param("probe_env/Design-v1", {"config": {"privileged": True}}, marks=pytest.mark.slow),
     ("probe_env/Snapshot-v1", SNAPSHOT),
     ("probe_env/Snapshot-v1", SNAPSHOT | {"config": {"observe_root_tension": False, "privileged": True}}),
     ("probe_env/Snapshot-v1", SNAPSHOT | {"config": {"observe_probe": True}}),
@@ -36,45 +37,40 @@ CHECKED = [
 def test_the_checkers_of_gymnasium_and_sb3_find_nothing(env_id, arguments):
     from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
-    check_env(gym.make(env_id, render_mode="rgb_array", **arguments).unwrapped)
+    drawn = {} if "Design" in env_id else {"render_mode": "rgb_array"}
+    check_env(gym.make(env_id, **drawn, **arguments).unwrapped)
     sb3_check_env(gym.make(env_id, **arguments).unwrapped)
 
 
-@IDS
-def test_a_spec_goes_through_json(env_id):
-    """With scene and task as plain values; JSON turns tuples into lists."""
-    scene = {"tube": {"helix_diameter": 2.0}, "contact": {"friction": 0.2}}
-    fidelity = {"time_step": 2e-4, "method": "imex"}
-    env = gym.make(env_id, scene=scene, config={"feed_speeds": (0.05, 0.3)}, fidelity=fidelity)
-    restored = gym.make(EnvSpec.from_json(env.spec.to_json()))
-    assert restored.unwrapped.config == env.unwrapped.config
-    assert restored.unwrapped.episodes.sampler.scene == env.unwrapped.episodes.sampler.scene
-    assert restored.unwrapped.episodes.sampler.scene.tube.helix_diameter == 2.0
-
-
-CONTEXTS = [
-    [probe_env.Context(friction=0.2), {"friction": 0.11}],
-    Ranges(friction=(0.12, 0.18)),
-    {"helix_diameter": [1.0, 1.5, 2.0]},
-    "train",
+MODELS = {
+    "config": probe_env.TaskConfig(time_limit=20.0, vibration_measure="snr"),
+    "scene": probe_env.Scene(feed_speed=0.1),
+    "fidelity": probe_env.Fidelity(time_step=1e-4),
+}
+PLAIN = {  # JSON turns tuples into lists
+    "config": {"feed_speeds": (0.05, 0.3)},
+    "scene": {"tube": {"helix_diameter": 2.0}, "contact": {"friction": 0.2}},
+    "fidelity": {"time_step": 2e-4, "method": "imex"},
+}
+TUBE = {"tube": {"helix_length": 70.0}, "contact": {"friction": {"low": 0.12, "high": 0.22}}}
+SPECS = [
+    *((env_id, PLAIN) for env_id in SHORT),
+    ("probe_env/Insertion-v1", MODELS | {"contexts": [probe_env.Context(friction=0.2), {"friction": 0.11}]}),
+    ("probe_env/Insertion-v1", MODELS | {"contexts": Ranges(friction=(0.12, 0.18))}),
+    ("probe_env/Insertion-v1", MODELS | {"contexts": {"helix_diameter": [1.0, 1.5, 2.0]}}),
+    ("probe_env/Insertion-v1", MODELS | {"contexts": "train"}),
+    ("probe_env/Insertion-v1", {"tube": probe_env.Plant.model_validate(TUBE)}),
 ]
 
 
-@pytest.mark.parametrize("contexts", CONTEXTS)
-def test_a_spec_with_models_goes_through_json(contexts):
-    task, scene = probe_env.TaskConfig(time_limit=20.0, vibration_measure="snr"), probe_env.Scene(feed_speed=0.1)
-    settings = {"config": task, "scene": scene, "contexts": contexts, "fidelity": probe_env.Fidelity(time_step=1e-4)}
+@pytest.mark.parametrize(("env_id", "settings"), SPECS)
+def test_a_spec_goes_through_json(env_id, settings):
     for make in (gym.make, gym.make_vec):
-        env = make("probe_env/Insertion-v1", **settings)
-        restored = make(EnvSpec.from_json(env.spec.to_json())).unwrapped.episodes
-        assert restored.config == env.unwrapped.episodes.config
-        assert restored.sampler == env.unwrapped.episodes.sampler
-        assert restored.fidelity == env.unwrapped.episodes.fidelity
-    tube = {"tube": {"helix_length": 70.0}, "contact": {"friction": {"low": 0.12, "high": 0.22}}}
-    env = gym.make("probe_env/Insertion-v1", tube=probe_env.Plant.model_validate(tube))
-    restored = gym.make(EnvSpec.from_json(env.spec.to_json())).unwrapped
-    assert restored.config == env.unwrapped.config
-    assert restored.episodes.sampler == env.unwrapped.episodes.sampler
+        env = make(env_id, **settings)
+        episodes, restored = (one.unwrapped.episodes for one in (env, make(EnvSpec.from_json(env.spec.to_json()))))
+        for name in ("config", "sampler", "fidelity"):
+            assert getattr(restored, name) == getattr(episodes, name)
+        assert restored.sampler.scene.tube.helix_diameter == (2.0 if settings is PLAIN else 1.2)
 
 
 def test_the_spec_has_the_number_of_steps_of_the_time_limit():
@@ -108,9 +104,11 @@ def test_an_environment_made_from_its_spec_ends_with_its_figures():
     steps = [env.step(env.action_space.sample()) for _ in range(3)]
     assert [truncated for *_, truncated, _ in steps] == [False, False, True]
     assert steps[-1][-1]["episode_kpis"]["inspection_time_s"] == pytest.approx(0.3)
+    with pytest.raises(RuntimeError, match="call reset before step"):
+        env.unwrapped.step(np.zeros(2, dtype=np.float32))
 
 
-@IDS
+@pytest.mark.parametrize("env_id", SHORT)
 def test_a_copy_continues_bit_for_bit(env_id):
     env = gym.make(env_id, **SHORT[env_id])
     env.reset(seed=4)
@@ -171,28 +169,47 @@ def test_reset_options_set_fields_of_the_context():
     assert env.unwrapped.episodes.simulated().simulators[0].sensor == 160
 
 
+MAPPED = {"fidelity": "surrogate"}
 REFUSED = [
-    ("Insertion", {"fidelity": "best"}, None, "fidelity = 'best'"),
-    ("Insertion", {"feed_speed": 3.0}, None, "feed_speed = 3.0"),
-    ("Insertion", {"config": {"bogus": 1}}, None, "bogus: there is no such field; accepted"),
-    ("Insertion", {"scene": {"tubes": {}}}, None, "tubes"),
-    ("Insertion", {"config": {"ratio_cap": 0.0}}, None, "0.0 is outside"),
-    ("Insertion", {"probes": "all"}, None, "probes = 'all' is not one of scene, random"),
-    ("Insertion", {}, {"fricton": 0.1}, "fricton: there is no such field"),
-    ("Insertion", {}, {"friction": 7.0}, "7.0 is outside"),
-    ("Insertion", {}, {"carrier_length": 7.0}, "carrier_length is not"),
-    ("Insertion", {}, {"context": 3}, r"options\['context'\] = 3 is neither a Context nor a mapping"),
-    ("Insertion", {}, {"context": "x"}, r"options\['context'\] = 'x' is neither"),
-    ("Insertion", {}, {"context": [1.0]}, r"options\['context'\] = \[1.0\] is neither"),
-    ("Insertion", {}, {"probe": 3}, r"options\['probe'\] = 3 is not a mapping"),
+    ({"fidelity": "best"}, None, "fidelity = 'best'"),
+    ({"feed_speed": 3.0}, None, "feed_speed = 3.0"),
+    ({"config": {"bogus": 1}}, None, "bogus: there is no such field; accepted"),
+    ({"scene": {"tubes": {}}}, None, "tubes"),
+    ({"config": {"ratio_cap": 0.0}}, None, "0.0 is outside"),
+    ({"probes": "all"}, None, "probes = 'all' is not one of scene, random"),
+    ({}, {"fricton": 0.1}, "fricton: there is no such field"),
+    ({}, {"friction": 7.0}, "7.0 is outside"),
+    ({}, {"carrier_length": 7.0}, "carrier_length is not"),
+    ({}, {"context": 3}, r"options\['context'\] = 3 is neither a Context nor a mapping"),
+    ({}, {"context": "x"}, r"options\['context'\] = 'x' is neither"),
+    ({}, {"context": [1.0]}, r"options\['context'\] = \[1.0\] is neither"),
+    ({}, {"probe": 3}, r"options\['probe'\] = 3 is not a mapping"),
+    ({"contexts": "mine"}, None, "contexts = 'mine' is not one of random, train, validation, test"),
+    ({"contexts": []}, None, r"contexts = \[\] is empty"),
+    ({"contexts": [{"friction": 0.1}, {"friction": 7.0}]}, None, r"contexts\[1\].friction: 7.0 .* range 0 to 1"),
+    ({"contexts": [{"fiction": 0.1}]}, None, r"contexts\[0\].fiction: there is no such field"),
+    ({"contexts": {"friction": (0.3, 0.1)}}, None, r"contexts: friction = \[0.3, 0.1\] must ascend"),
+    ({"contexts": {"helix_diameter": (0.1, 2.0)}}, None, "contexts: helix_diameter: 0.1 m is outside the accepted"),
+    ({"contexts": 3}, None, "contexts = 3 is no name, list of contexts or mapping of ranges"),
+    ({"in_turn": True}, None, "in_turn = True needs a list of tubes: contexts = 'train', 'validation'"),
+    (MAPPED | {"probes": "random"}, None, "without probes = 'random'"),
+    (MAPPED, {"friction": 0.5}, "friction = 0.5 is outside the map's range 0.1 to 0.25"),
+    (MAPPED, {"probe": {"line_density": 0.09}}, "probe: the map is of another probe"),
+    (MAPPED | {"config": {"growing": False}}, None, "without growing = False"),
+    (MAPPED | {"config": {"vibration_measure": "velocity"}}, None, "vibration_measure = 'velocity': maps are of"),
+    (MAPPED | {"config": {"vibration_measure": "snr"}}, None, "= 'snr', but the map is of displacement"),
+    (MAPPED | {"config": {"friction_drift": 0.1}}, None, "without friction_drift"),
+    (MAPPED | {"config": {"sensor_dropout": 0.1}}, None, "without sensor_dropout"),
+    (MAPPED | {"scene": {"tube": {"helix_length": 80.0}}}, None, "helix_length = 80 m \\(the map ends at 60 m\\)"),
+    (MAPPED | {"surrogate_map": "configs/tubes/snr-map.npz"}, None, "but the map is of snr"),
 ]
 
 
 def test_bad_arguments_and_options_are_named_in_one_line():
     for make in (gym.make, gym.make_vec):
-        for name, arguments, options, message in REFUSED:
+        for arguments, options, message in REFUSED:
             with pytest.raises(ValueError, match=message) as caught:
-                make(f"probe_env/{name}-v1", **arguments).reset(options=options)
+                make("probe_env/Insertion-v1", **arguments).reset(options=options)
             assert "\n" not in str(caught.value)
             assert "pydantic" not in str(caught.value)
 
@@ -223,11 +240,3 @@ def test_bad_actions_of_batches_are_named(fidelity):
     for actions, message in ((["0", "0"], "is not an array of numbers"), (np.zeros((1, 2)), "action has shape (1, 2)")):
         with pytest.raises(ValueError, match=f"{re.escape(message)}.* accepted shape .*{re.escape('(2, 2)')}"):
             envs.step(actions)
-
-
-def test_a_step_after_the_end_is_refused():
-    env = gym.make("probe_env/Snapshot-v1", config={"time_limit": 0.1}).unwrapped
-    env.reset(seed=0)
-    assert env.step(np.zeros(2, dtype=np.float32))[3]
-    with pytest.raises(RuntimeError, match="call reset before step"):
-        env.step(np.zeros(2, dtype=np.float32))

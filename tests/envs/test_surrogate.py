@@ -153,30 +153,6 @@ def test_kpis_of_a_whole_insertion_are_sums_of_its_steps():
         episodes.step(action)
 
 
-REFUSED = [
-    ({"probes": "random"}, {}, "without probes = 'random'"),
-    ({}, {"friction": 0.5}, "friction = 0.5 is outside the map's range 0.1 to 0.25"),
-    ({}, {"probe": {"line_density": 0.09}}, "probe: the map is of another probe"),
-    ({"config": {"growing": False}}, {}, "without growing = False"),
-    ({"config": {"vibration_measure": "velocity"}}, {}, "vibration_measure = 'velocity': maps are of"),
-    ({"config": {"vibration_measure": "snr"}}, {}, "vibration_measure = 'snr', but the map is of displacement"),
-    ({"config": {"friction_drift": 0.1}}, {}, "without friction_drift"),
-    ({"config": {"sensor_dropout": 0.1}}, {}, "without sensor_dropout"),
-    ({"scene": {"tube": {"helix_length": 80.0}}}, {}, "helix_length = 80 m \\(the map ends at 60 m\\)"),
-    ({"surrogate_map": "configs/tubes/snr-map.npz"}, {}, "but the map is of snr"),
-]
-
-
-def test_tasks_and_tubes_outside_the_map_are_named():
-    for settings, options, message in REFUSED:
-        arguments = dict(settings)
-        config = TaskConfig.model_validate(arguments.pop("config", {}))
-        with pytest.raises(ValueError, match=message):
-            Episodes(1, config, fidelity="surrogate", **arguments).reset(
-                [0], {0: np.random.default_rng(0)}, {0: options}
-            )
-
-
 def test_other_environments_rendering_and_planning_are_refused():
     refused = {
         "Snapshot-v1": "Insertion-v1\\), without growing = False",

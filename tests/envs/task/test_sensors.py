@@ -73,20 +73,6 @@ def test_the_sampler_knows_the_stiffest_contact_of_its_contexts():
         assert env.episodes.sampler.stiffest.contact.stiffness == 1.8e5
 
 
-def test_wrong_contexts_are_named():
-    for contexts, message in (
-        ("mine", "contexts = 'mine' is not one of random, train, validation, test"),
-        ([], "contexts = \\[\\] is empty"),
-        ([{"friction": 0.1}, {"friction": 7.0}], r"contexts\[1\].friction: 7.0 is outside the accepted range 0 to 1"),
-        ([{"fiction": 0.1}], r"contexts\[0\].fiction: there is no such field"),
-        ({"friction": (0.3, 0.1)}, r"contexts: friction = \[0.3, 0.1\] must ascend"),
-        ({"helix_diameter": (0.1, 2.0)}, "contexts: helix_diameter: 0.1 m is outside the accepted range"),
-        (3, "contexts = 3 is no name, list of contexts or mapping of ranges"),
-    ):
-        with pytest.raises(ValueError, match=message):
-            gym.make("probe_env/Insertion-v1", contexts=contexts)
-
-
 def test_drop_outs_keep_the_last_value_of_their_sensors():
     names = list(TaskConfig().observations)
     dropping = [names.index(name) for name in ("rf_noise", "root_tension")]
