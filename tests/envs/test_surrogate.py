@@ -17,11 +17,10 @@ from probe_env.envs.episodes import Episodes
 from probe_env.envs.episodes.predicted import Noise, Predicted, RandomField, Scatter
 from probe_env.envs.task import TaskConfig
 from probe_env.envs.vibration_map import stored_map
-from probe_env.fidelity import PRESETS, Fidelity, resolve_fidelity
+from probe_env.fidelity import PRESETS, Fidelity
 from probe_env.physics.closed_forms import sliding_tension
 
 CONFIG = TaskConfig().full_observation
-QUIET = Noise()
 TUBE = Context(friction=0.18, helix_diameter=1.4)
 
 
@@ -44,23 +43,15 @@ def test_spaces_and_infos_are_those_of_a_simulated_insertion():
         one.reset(seed=3)
     infos = [one.step(np.array([0.1, 0.3], dtype=np.float32))[4] for one in (env, simulated)]
     assert set(infos[0]) <= set(infos[1])
-    assert infos[0]["reward_terms"].keys() == infos[1]["reward_terms"].keys()
-    assert infos[0]["reward_terms"]["progress"] == pytest.approx(infos[1]["reward_terms"]["progress"], abs=6e-4)
-    assert infos[0]["reward_terms"]["air"] == pytest.approx(infos[1]["reward_terms"]["air"], rel=1e-6)
-
-
-def test_batches_of_the_surrogate_predict():
-    assert resolve_fidelity("surrogate") == PRESETS["surrogate"]
-    vector = gym.make_vec("probe_env/Insertion-v1", num_envs=2, fidelity="surrogate")
-    assert isinstance(vector.unwrapped.episodes.backend, Predicted)
-    batch = ProbeVecEnv("probe_env/Insertion-v1", 2, fidelity={"method": "surrogate"}, contexts="train")
-    batch.reset()
-    batch.step(np.zeros((2, 2), dtype=np.float32))
-    assert batch.kernel_seconds == 0.0
+    predicted, expected = (info["reward_terms"] for info in infos)
+    assert predicted.keys() == expected.keys()
+    assert predicted["progress"] == pytest.approx(expected["progress"], abs=6e-4)
+    assert predicted["air"] == pytest.approx(expected["air"], rel=1e-6)
 
 
 def test_a_batch_equals_single_environments_bit_for_bit():
     batch = gym.make_vec("probe_env/Insertion-v1", 8, fidelity="surrogate")
+    assert isinstance(batch.unwrapped.episodes.backend, Predicted)
     single = [gym.make("probe_env/Insertion-v1", fidelity="surrogate") for _ in range(8)]
     assert np.array_equal(batch.reset(seed=5)[0], [env.reset(seed=5 + k)[0] for k, env in enumerate(single)])
     for actions in np.random.default_rng(1).uniform(-1.0, 1.0, (150, 8, 2)).astype(np.float32):
@@ -69,6 +60,10 @@ def test_a_batch_equals_single_environments_bit_for_bit():
         assert np.array_equal(observation, [step[0] for step in steps])
         assert reward.tolist() == [step[1] for step in steps]
         assert infos["radial_rms_m"].tolist() == [step[4]["radial_rms_m"] for step in steps]
+    trained = ProbeVecEnv("probe_env/Insertion-v1", 2, fidelity={"method": "surrogate"}, contexts="train")
+    trained.reset()
+    trained.step(np.zeros((2, 2), dtype=np.float32))
+    assert trained.kernel_seconds == 0.0
 
 
 def test_a_probe_that_is_not_stepped_keeps_its_state():
@@ -80,7 +75,7 @@ def test_a_probe_that_is_not_stepped_keeps_its_state():
 
 
 def test_without_noise_it_is_the_map_and_the_closed_form():
-    episodes = started(1, noise=QUIET)
+    episodes = started(1, noise=Noise())
     action = CONFIG.actions(np.array([0.2]), np.array([0.02]))
     for _ in range(60):
         step = episodes.step(action)
@@ -97,14 +92,15 @@ def test_without_noise_it_is_the_map_and_the_closed_form():
 
 def test_feed_follows_its_ramp_and_air_its_lag():
     config = TaskConfig(ramp=0.1, air_lag=2.0)
-    episodes = started(1, config, noise=QUIET)
+    episodes = started(1, config, noise=Noise())
     air, length = episodes.backend.air[0], episodes.inserted_length[0]
-    episodes.step(config.actions(np.array([0.35]), np.array([0.03])))
+    action = config.actions(np.array([0.35]), np.array([0.03]))
+    episodes.step(action)
     assert episodes.backend.feed[0] == pytest.approx(0.3)
     assert episodes.inserted_length[0] - length == pytest.approx(0.25, abs=5e-4)
     assert episodes.backend.air[0] == pytest.approx(0.03 + (air - 0.03) * np.exp(-0.5))
     length = episodes.inserted_length[0]
-    episodes.step(config.actions(np.array([0.35]), np.array([0.03])))
+    episodes.step(action)
     assert episodes.inserted_length[0] - length == pytest.approx(0.35 - 0.5 * 0.05**2 / 0.1, abs=5e-4)
 
 
@@ -137,7 +133,7 @@ def test_random_field_has_its_deviation_and_correlations():
 
 
 def test_kpis_of_a_whole_insertion_are_sums_of_its_steps():
-    episodes, total, terms = started(1, noise=QUIET), 0.0, 0.0
+    episodes, total, terms = started(1, noise=Noise()), 0.0, 0.0
     action = CONFIG.actions(np.array([0.4]), np.array([0.02])).astype(np.float32)
     while episodes.running.any():
         step = episodes.step(action)
@@ -154,16 +150,14 @@ def test_kpis_of_a_whole_insertion_are_sums_of_its_steps():
 
 
 def test_other_environments_rendering_and_planning_are_refused():
-    refused = {
-        "Snapshot-v1": "Insertion-v1\\), without growing = False",
-        "Inspection-v0": "surrogate does not simulate withdrawal",
-        "Design-v1": "fidelity = 'surrogate' is for Insertion-v1 only",
-    }
-    for name, message in refused.items():
+    for name, settings, message in (
+        ("Snapshot-v1", {}, "Insertion-v1\\), without growing = False"),
+        ("Inspection-v0", {}, "surrogate does not simulate withdrawal"),
+        ("Design-v1", {}, "fidelity = 'surrogate' is for Insertion-v1 only"),
+        ("Insertion-v1", {"render_mode": "rgb_array"}, "simulates no motion to render"),
+    ):
         with pytest.raises(ValueError, match=message):
-            gym.make(f"probe_env/{name}", fidelity="surrogate")
-    with pytest.raises(ValueError, match="simulates no motion to render"):
-        gym.make("probe_env/Insertion-v1", fidelity="surrogate", render_mode="rgb_array")
+            gym.make(f"probe_env/{name}", fidelity="surrogate", **settings)
     with pytest.raises(ValueError, match=r"time_step: not accepted, method = 'surrogate' does not"):
         Fidelity(method="surrogate", time_step=1e-4)
     case = load_case(None, "test", 1)
@@ -174,9 +168,7 @@ def test_other_environments_rendering_and_planning_are_refused():
 
 def test_a_plant_uses_the_map_next_to_its_file():
     env = gym.make("probe_env/Insertion-v1", fidelity="surrogate", tube="configs/tubes/snr.toml")
-    episodes = env.unwrapped.episodes
-    expected = read_case(Path("snr"), "test", 1).vibration
-    assert episodes.backend.map == expected != stored_map()
+    assert env.unwrapped.episodes.backend.map == read_case(Path("snr"), "test", 1).vibration != stored_map()
     env.reset(seed=0)
     info = env.step(env.action_space.sample())[4]
     assert info["noise_rms_m"] == info["radial_rms_m"]  # the map is of the noise in a flaw's band

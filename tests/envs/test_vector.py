@@ -78,8 +78,7 @@ class Broken(ProbeVecEnv):
 
 def test_broken_batches_are_found():
     env_id = "probe_env/Snapshot-v1"
-    faults = "modified later", "terminated of step", "final observation of", "first observation", "reward of step"
-    for fault in faults:
+    for fault in "modified later", "terminated of step", "final observation of", "first observation", "reward of step":
         with pytest.raises(AssertionError, match=fault):
             check_vector_env(lambda n, fault=fault: Broken(fault, env_id, n, **CASES[env_id]), single(env_id))
 
@@ -98,14 +97,14 @@ def test_truncation_reaches_ppo_s_bootstrap():
 
 
 def test_make_vec_options_and_refusals():
-    with pytest.raises(ValueError, match="max_episode_steps = 0 is outside the accepted range 1 and more"):
-        gym.make_vec("probe_env/Snapshot-v1", num_envs=1, max_episode_steps=0)
-    with pytest.raises(ValueError, match="render_mode = 'rgb_array'"):
-        gym.make_vec("probe_env/Snapshot-v1", num_envs=1, render_mode="rgb_array")
-    with pytest.raises(ValueError, match="num_envs = 0"):
-        ProbeVecEnv(num_envs=0)
-    with pytest.raises(ValueError, match="max_episode_steps = 0"):
-        ProbeVecEnv(max_episode_steps=0)
+    for make, settings, message in (
+        (gym.make_vec, {"max_episode_steps": 0}, "max_episode_steps = 0 is outside the accepted range 1 and more"),
+        (gym.make_vec, {"render_mode": "rgb_array"}, "render_mode = 'rgb_array'"),
+        (ProbeVecEnv, {"num_envs": 0}, "num_envs = 0"),
+        (ProbeVecEnv, {"max_episode_steps": 0}, "max_episode_steps = 0"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            make("probe_env/Snapshot-v1", **settings)
     for what, make in (("gym.make", gym.make), ("gym.make_vec", gym.make_vec), ("gym.make_vec", ProbeVecEnv)):
         message = rf"{what}\(\) got an unexpected keyword argument 'fidelty'; accepted are .*; the closest: fidelity"
         with pytest.raises(TypeError, match=message):
@@ -116,6 +115,8 @@ def test_make_vec_options_and_refusals():
     _, info = env.reset(seed=1, options={"friction": 0.2})
     assert info["context"]["friction"].tolist() == [0.2, 0.2]
     assert env.spec.id == "probe_env/Snapshot-v1"
+    for env_id, settings in CASES.items():  # libraries recognise a batch by its direct bases
+        assert gym.vector.VectorEnv in type(gym.make_vec(env_id, 1, **settings)).__bases__
 
 
 def test_seeds_of_a_batch_are_those_of_its_environments():
@@ -135,11 +136,6 @@ def test_seeds_of_a_batch_are_those_of_its_environments():
         assert states[0] == states[1]
     with pytest.raises(TypeError, match="cannot be interpreted as an integer"):
         batch.reset(seed=[0.5, 1])
-
-
-def test_libraries_recognise_a_batch_by_its_direct_bases():
-    for env_id in CASES:
-        assert gym.vector.VectorEnv in type(gym.make_vec(env_id, 1, **CASES[env_id])).__bases__
 
 
 def test_sb3_seeds_options_and_attributes():

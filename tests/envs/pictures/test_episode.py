@@ -43,6 +43,8 @@ def test_pictures_equal_those_of_a_new_renderer(env_id, arguments):
         if k % 6 == 0:
             assert (picture == from_scratch(env)).all()
     assert len(limits) >= 3  # axes were redrawn in the background
+    assert (copy.deepcopy(env).render() == picture).all()
+    assert (env.render() == picture).all()
 
 
 def test_a_custom_tube_is_drawn():
@@ -59,14 +61,6 @@ def test_a_custom_tube_is_drawn():
     turned = np.unwrap(np.arctan2(spiral[:, 1], spiral[:, 0]))[-1] / (2.0 * np.pi)
     assert turned == pytest.approx(20.0 / (np.pi * 1.3), rel=1e-9)
     assert plate.picture().shape == (600, 1000, 3)
-
-
-def test_a_copy_draws_the_same():
-    env = started(fidelity="fast")
-    env.step(np.ones(2, dtype=np.float32))
-    picture = env.render()
-    assert (copy.deepcopy(env).render() == picture).all()
-    assert (env.render() == picture).all()
 
 
 def test_human_mode_has_one_window_for_all_episodes(monkeypatch):

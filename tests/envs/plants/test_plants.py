@@ -1,5 +1,7 @@
 """Plants: files of custom tubes, their errors, and the same plant in every environment."""
 
+from pathlib import Path
+
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -31,13 +33,13 @@ vibration_limit = 2e-4
 """
 SETTINGS = {"fidelity": "fast"}
 BEND = {"length": 0.8, "bend_radius": 0.5, "slope": 45.0}
+TEST = {"tube": {"tube": {"inner_diameter": 0.023}}, "contexts": "test"}
 
 
 @pytest.fixture
 def file(tmp_path):
-    path = tmp_path / "tube.toml"
-    path.write_text(TEXT)
-    return path
+    (tmp_path / "tube.toml").write_text(TEXT)
+    return tmp_path / "tube.toml"
 
 
 def test_a_plant_is_a_scene_a_task_and_tubes(file):
@@ -55,9 +57,7 @@ def test_a_plant_is_a_scene_a_task_and_tubes(file):
     assert Plant().configured() == TaskConfig()
 
 
-@pytest.mark.parametrize(
-    "form", [lambda path: path, str, Plant.from_toml, lambda path: Plant.from_toml(path).model_dump()]
-)
+@pytest.mark.parametrize("form", [Path, str, Plant.from_toml, lambda path: Plant.from_toml(path).model_dump()])
 def test_every_environment_accepts_every_form_of_a_plant(file, form):
     tube, plant = form(file), Plant.from_toml(file)
     single = gym.make("probe_env/Insertion-v1", tube=tube, **SETTINGS)
@@ -87,13 +87,17 @@ def test_an_insertion_ends_where_the_helix_does():
 
 def test_contradicting_arguments_are_refused():
     for env_id, arguments, message in (
-        ("Insertion", {"tube": {}, "scene": {}}, "tube and scene: give one of them"),
-        ("Insertion", {"tube": {}, "config": TaskConfig()}, "config with a tube must be a mapping"),
-        ("Insertion", {"tube": "none.toml"}, "none.toml"),
-        ("Design", {"tube": {"tube": {"helix_length": 20.0}}}, "helix_length = 20 m: designs are compared as far as"),
+        ("Insertion-v1", {"tube": {}, "scene": {}}, "tube and scene: give one of them"),
+        ("Insertion-v1", {"tube": {}, "config": TaskConfig()}, "config with a tube must be a mapping"),
+        ("Insertion-v1", {"tube": "none.toml"}, "none.toml"),
+        ("Insertion-v1", TEST, "contexts = 'test' cannot be combined with tube"),
+        ("Design-v1", {"tube": {"tube": {"helix_length": 20.0}}}, "helix_length = 20 m: designs are compared as far"),
+        ("Inspection-v0", {"scored_pass": "withdrawal"}, r"scored_pass is a field of the task: give config=\{'score"),
     ):
-        with pytest.raises((ValueError, FileNotFoundError), match=message):
-            gym.make(f"probe_env/{env_id}-v1", **arguments)
+        with pytest.raises((ValueError, FileNotFoundError, TypeError), match=message):
+            gym.make(f"probe_env/{env_id}", **arguments)
+    with pytest.raises(ValueError, match="contexts = 'test' cannot be combined with tube"):
+        ProbeVecEnv(**TEST)
 
 
 BROKEN = {
@@ -236,13 +240,12 @@ def test_every_diameter_has_tubes_over_the_whole_distribution(diameters, seed):
     contact = {"friction": {"low": 0.1, "high": 0.2}, "stiffness": {"low": 0.9e5, "high": 1.1e5}}
     tubes = Plant.model_validate({"tube": tube, "contact": contact}).contexts(48, seed)
     for count in (24, 48):
+        of_diameter = [[c for c in tubes[:count] if c.helix_diameter == d] for d in diameters]
+        assert {len(some) for some in of_diameter} == {count // len(diameters)}
         for name, low, width in (("friction", 0.1, 0.1), ("contact_stiffness", 0.9e5, 0.2e5)):
-            fractions = {
-                d: [(getattr(c, name) - low) / width for c in tubes[:count] if c.helix_diameter == d] for d in diameters
-            }
-            assert {len(values) for values in fractions.values()} == {count // len(diameters)}
-            assert np.ptp([np.mean(values) for values in fractions.values()]) <= 2.0 * len(diameters) / count
-            assert all(np.ptp(values) > 0.5 for values in fractions.values()) or count == 24
+            fractions = [[(getattr(c, name) - low) / width for c in some] for some in of_diameter]
+            assert np.ptp([np.mean(values) for values in fractions]) <= 2.0 * len(diameters) / count
+            assert all(np.ptp(values) > 0.5 for values in fractions) or count == 24
 
 
 def test_a_normal_figure_is_truncated_to_its_range():
@@ -258,13 +261,14 @@ def test_a_normal_figure_is_truncated_to_its_range():
 
 def test_targets_are_rounded_to_the_resolution_of_the_devices():
     task = Plant(feed={"feed_speed_step": 0.05}, air={"air_supply_step": 10.0 / 3600.0}).configured()
-    targets = task.targets(np.random.default_rng(0).uniform(-1.0, 1.0, (200, 2)))
+    actions = np.random.default_rng(0).uniform(-1.0, 1.0, (200, 2))
+    targets = task.targets(actions)
     feed, air = targets[:, 0], targets[:, 1] * 360.0
-    inner = (feed > 0.02) & (feed < 0.4)
-    assert np.allclose(feed[inner] / 0.05, np.round(feed[inner] / 0.05), atol=1e-9)
+    steps = feed[(feed > 0.02) & (feed < 0.4)] / 0.05
+    assert np.allclose(steps, np.round(steps), atol=1e-9)
     assert np.allclose(air, np.round(air), atol=1e-9)
     assert feed.min() >= 0.02
-    assert np.abs(targets - TaskConfig().targets(np.random.default_rng(0).uniform(-1.0, 1.0, (200, 2)))).max() <= 0.025
+    assert np.abs(targets - TaskConfig().targets(actions)).max() <= 0.025
 
 
 def test_custom_contexts_are_used_with_a_tube(file):
@@ -279,11 +283,3 @@ def test_air_supply_in_m3_per_h():
     supply = Plant.model_validate({"air": fields}).air
     assert (supply.air_supply_rates, supply.air_supply_step) == ((30.0 / 3600.0, 122.0 / 3600.0), 5.0 / 3600.0)
     assert supply_per_hour(supply_in_si(fields)) == fields
-
-
-def test_arguments_that_contradict_a_tube_are_refused():
-    for make in (lambda **form: gym.make("probe_env/Insertion-v1", **form), ProbeVecEnv):
-        with pytest.raises(ValueError, match="contexts = 'test' cannot be combined with tube"):
-            make(tube={"tube": {"inner_diameter": 0.023}}, contexts="test")
-    with pytest.raises(TypeError, match=r"scored_pass is a field of the task: give config=\{'scored_pass': ...\}"):
-        gym.make("probe_env/Inspection-v0", scored_pass="withdrawal")

@@ -23,13 +23,11 @@ DRAWS = {
 
 @pytest.fixture
 def folder(tmp_path):
-    """A folder with a calibration."""
     (tmp_path / "calibration.json").write_text(json.dumps({"friction": {"mean": 0.16}, "draws": DRAWS}))
     return tmp_path
 
 
 def plant_of_text(folder, text):
-    """The plant of a file of this text, in a folder with a calibration."""
     (folder / "tube.toml").write_text(text)
     return Plant.from_toml(folder / "tube.toml")
 
@@ -49,16 +47,13 @@ def test_tubes_are_joint_draws(folder):
 
 
 def test_draws_are_part_of_the_plant(folder):
-    """Draws are stored with the plant in JSON, and environments sample from them."""
     plant = plant_of_text(folder, 'posterior = "calibration.json"')
     assert Plant.model_validate(json.loads(plant.model_dump_json())) == plant
-    env = gym.make("probe_env/Insertion-v1", tube=plant, fidelity="fast")
-    _, info = env.reset(seed=2)
+    _, info = gym.make("probe_env/Insertion-v1", tube=plant, fidelity="fast").reset(seed=2)
     assert info["context"]["friction"] in np.round(FRICTION, 4)
 
 
 def test_files_that_are_no_calibration_are_refused(tmp_path):
-    """In one line with file and error."""
     for content, problem in (
         ("{", "not JSON"),
         ("[]", "draws: missing"),
@@ -77,9 +72,6 @@ def test_files_that_are_no_calibration_are_refused(tmp_path):
     for name, problem in (("none.json", "no such file: "), ("a\\u0000b", "not the name of a file: embedded null byte")):
         with pytest.raises(FileError, match=f"tube.toml: posterior: .*{problem}"):
             plant_of_text(tmp_path, f'posterior = "{name}"')
-
-
-def test_draws_without_a_file_are_checked():
     with pytest.raises(ValueError, match=r"posterior\.draws\.friction = 7\.0 is outside the accepted range 0 to 1"):
         Plant.model_validate({"posterior": {"friction": [0.1, 7.0]}})
 
