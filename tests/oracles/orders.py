@@ -11,14 +11,10 @@ from scipy.stats import linregress
 def observed_order(
     run: Callable[[float], npt.NDArray[np.float64]], time_steps: Sequence[float]
 ) -> tuple[float, float, npt.NDArray[np.float64]]:
-    """Order of convergence, relative error at the last step, and the signal there.
+    """Order of convergence, relative error at the last step, and the signal there; ``run``: signal for a time step.
 
     Runs of order p at dt and dt / 2 differ by (2^p - 1) e(dt / 2) with e ~ dt^p: the slope of the differences is p,
     and the last difference divided by 2^p - 1 is the remaining error.
-
-    Args:
-        run: signal for a time step, at equal sample times.
-        time_steps: [s], each half of the one before; at least three.
     """
     ratios = np.divide(time_steps[:-1], time_steps[1:])
     assert len(time_steps) >= 3

@@ -35,13 +35,9 @@ def deviation(statistic: str, length: float) -> float:
 
 
 def reach(*samples: tuple[float, int], chance: float = CHANCE, measured: int = MEASURED) -> float:
-    """Largest distance by chance of the logarithms of two means.
+    """Largest distance by chance of the logarithms of two means, or for absolute deviations of the means themselves.
 
-    Args:
-        samples: relative deviation of one member, and number of members, of each mean; for absolute deviations the
-            result is the distance of the means.
-        chance: probability of a larger distance, in either direction, if the true means are equal.
-        measured: number of members from which the deviation was measured.
+    ``samples``: of each mean the relative deviation of one member, measured from ``measured``, and its members.
     """
     spread = math.sqrt(sum(relative**2 / members for relative, members in samples))
     return float(t.isf(0.5 * chance, measured - 1)) * spread
@@ -50,11 +46,7 @@ def reach(*samples: tuple[float, int], chance: float = CHANCE, measured: int = M
 def of_another(deviation: float, measured: int = MEASURED, among: int = 1, members: int = 1) -> float:
     """Largest distance by chance of the mean of new members from the mean of the measured ones.
 
-    Args:
-        deviation: of one member, measured.
-        measured: number of measured members.
-        among: number of such bounds in one test; together they fail with probability ``CHANCE``.
-        members: number of new members.
+    ``among``: number of such bounds in one test; together they fail with probability ``CHANCE``.
     """
     return reach((deviation, members), (deviation, measured), chance=CHANCE / among, measured=measured)
 

@@ -47,10 +47,8 @@ def test_auto_and_custom_settings():
 @pytest.mark.parametrize("env_id", ["Insertion", pytest.param("Design", marks=pytest.mark.slow)])
 def test_environments_replace_superelements_by_default(env_id):
     """Equal bits as with explicit settings."""
-    scene, tube = Scene.model_validate(CABLE), SHORT | CABLE
-    chosen = resolve_fidelity("fast", scene, growing=env_id == "Insertion")
-    if env_id == "Design":
-        tube = tube | {"tube": {"helix_length": 60.0}}
+    chosen = resolve_fidelity("fast", Scene.model_validate(CABLE), growing=env_id == "Insertion")
+    tube = CABLE | ({"tube": {"helix_length": 60.0}} if env_id == "Design" else SHORT)
     envs = [gym.make(f"probe_env/{env_id}-v1", tube=tube, **options) for options in ({}, {"fidelity": chosen})]
     for env in envs:
         assert env.unwrapped.config.scene.contact.cable

@@ -9,7 +9,7 @@ SCENE = Scene(carrier_length=1.0)
 RUN = Simulator(SCENE, "imex", 2e-4).run(0.05, points=("sensor", 0.2))
 
 
-def test_tables_hold_the_signals_with_their_units():
+def test_tables_and_plots_hold_the_signals_with_their_units():
     frame = RUN.to_pandas()
     assert frame.index.name == "time_s"
     assert list(frame["sensor"]) == ["axial_m", "radial_m", "rotation_rad", "tension_n"]
@@ -20,9 +20,6 @@ def test_tables_hold_the_signals_with_their_units():
     assert list(summary.index) == ["sensor", "0.2 m"]
     assert summary.loc["0.2 m", "axial_m_rms"] == pytest.approx(RUN.axial[:, 1].std(), rel=1e-12)
     assert summary.loc["sensor", "tension_n_max"] == np.abs(RUN.tension[:, 0]).max()
-
-
-def test_a_plot_has_a_line_a_point_and_units():
     axes = RUN.plot("tension")
     assert [line.get_label() for line in axes.lines] == ["sensor", "0.2 m"]
     assert axes.get_ylabel() == "tension [N]"

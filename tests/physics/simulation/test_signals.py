@@ -29,19 +29,13 @@ def test_a_sine_has_the_statistics_of_a_sine():
     assert values["lift_off_share"] == pytest.approx(0.5, abs=0.01)
     assert values["axial_peak_hz"] == values["radial_peak_hz"] == values["common_peak_hz"] == 14.0
     assert values["tension_mean_n"] == 3.0
+    with pytest.raises(ValueError, match=r"start = 7\.99 s leaves 11 samples"):
+        point_statistics(sine_run(), "sensor", 7.99)
 
 
-def test_dominant_frequencies_are_sorted_by_strength():
+def test_frequencies_are_sorted_by_strength_and_none_at_rest():
     signal = 1e-3 * np.sin(2 * np.pi * 20 * TIME) + 3e-3 * np.sin(2 * np.pi * 35 * TIME)
     assert dominant_frequencies(signal, 1e-3, 2) == (35.0, 20.0)
     assert common_frequency(signal, np.sin(2 * np.pi * 20 * TIME), 1e-3) == 20.0
-
-
-def test_a_probe_at_rest_has_no_frequency():
     assert dominant_frequencies(np.full(1000, 0.015), 1e-3) == ()
     assert np.isnan(common_frequency(np.zeros(1000), np.zeros(1000), 1e-3))
-
-
-def test_a_window_that_is_too_short_is_an_error():
-    with pytest.raises(ValueError, match=r"start = 7\.99 s leaves 11 samples"):
-        point_statistics(sine_run(), "sensor", 7.99)
