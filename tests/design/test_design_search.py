@@ -48,10 +48,7 @@ def test_a_known_front_is_found(tmp_path):
 
 
 def test_interrupted_search_equals_an_uninterrupted_one(tmp_path, whole):
-    """8, 16 and 24 are the first of a generation: there the parents are selected, once asked they are cached.
-
-    0 and 1 are starts, which come first.
-    """
+    """8, 16 and 24 begin a generation: there the parents are selected, once asked they are cached; 0, 1 are starts."""
     assert whole[list(AXES)].iloc[:2].to_dict("records") == STARTS
     asked = []
 

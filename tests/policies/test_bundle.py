@@ -20,6 +20,7 @@ from probe_env.envs.task import TaskConfig
 from probe_env.envs.task.scales import OBSERVATIONS
 
 TASK = TaskConfig()
+ACTIONS = np.random.default_rng(0).uniform(-1.0, 1.0, (50, 2))
 
 
 def described(algorithm="ppo", task=TASK):
@@ -28,22 +29,22 @@ def described(algorithm="ppo", task=TASK):
     return Description(algorithm=algorithm, network=network, view=seen, task=task, trained={"seed": 0})
 
 
-def saved(path, algorithm="ppo", **arguments):
+def saved(folder, algorithm="ppo", task=TASK):
     torch.manual_seed(1)
-    description = described(algorithm, **arguments)
+    description, path = described(algorithm, task), folder / "agent.safetensors"
     policy = build_policy(description)
     write_bundle(path, description, policy)
-    return Agent(description, policy, description.task)
+    return Agent(description, policy, task), path
 
 
-def observations(count=3, seed=0, config=TASK):
-    return np.random.default_rng(seed).normal(size=(count, len(config.observations))).astype(np.float32)
+def observations(seed=0, config=TASK):
+    return np.random.default_rng(seed).normal(size=(3, len(config.observations))).astype(np.float32)
 
 
 @pytest.mark.parametrize("algorithm", ["ppo", "sac", "recurrent-ppo"])
 def test_an_agent_survives_its_file(algorithm, tmp_path):
-    agent = saved(tmp_path / "agent.safetensors", algorithm)
-    loaded, states = load_bundle(tmp_path / "agent.safetensors"), [None, None]
+    agent, path = saved(tmp_path, algorithm)
+    loaded, states = load_bundle(path), [None, None]
     for step in range(4):
         rows, start = observations(seed=step), np.array([step == 0, False, step == 2])
         actions = []
@@ -52,12 +53,12 @@ def test_an_agent_survives_its_file(algorithm, tmp_path):
             actions.append(action)
         assert (actions[0] == actions[1]).all()
         assert (np.abs(actions[0]) <= 1.0).all()
-    assert make_policy(str(tmp_path / "agent.safetensors"), TASK).describe() == loaded.describe()
+    assert make_policy(str(path), TASK).describe() == loaded.describe()
     assert loaded.describe()["bundle"]
 
 
 def test_agent_state_resets_with_a_new_episode(tmp_path):
-    agent = saved(tmp_path / "agent.safetensors")
+    agent, path = saved(tmp_path)
     _, state = agent.predict(observations(seed=1), deterministic=True)
     remembering, _ = agent.predict(observations(seed=2), state, np.array([False, True, False]), deterministic=True)
     fresh, _ = agent.predict(observations(seed=2), deterministic=True)
@@ -65,24 +66,22 @@ def test_agent_state_resets_with_a_new_episode(tmp_path):
     assert (remembering[0] != fresh[0]).any()
     alone, _ = agent.predict(observations(seed=2)[0], deterministic=True)
     assert alone == pytest.approx(fresh[0], abs=1e-6)
-    blind = TaskConfig(observe_root_tension=False)
-    agent = saved(tmp_path / "agent.safetensors", task=blind)
-    wide = TaskConfig(privileged=True)
-    rows = observations(config=wide)
+    blind, wide = TaskConfig(observe_root_tension=False), TaskConfig(privileged=True)
+    agent, rows = saved(tmp_path, task=blind)[0], observations(config=wide)
     chosen = rows[:, [list(wide.observations).index(name) for name in blind.observations]]
-    shown = load_bundle(tmp_path / "agent.safetensors", wide)
-    assert (shown.predict(rows, deterministic=True)[0] == agent.predict(chosen, deterministic=True)[0]).all()
+    shown, _ = load_bundle(path, wide).predict(rows, deterministic=True)
+    assert (shown == agent.predict(chosen, deterministic=True)[0]).all()
 
 
 def test_another_task_is_refused(tmp_path):
-    saved(tmp_path / "agent.safetensors")
+    _, path = saved(tmp_path)
     for config, message in (
         ({"observe_root_tension": False}, "observations = root_tension are not observed"),
         ({"period": 2.0}, "period = 2.0 differs from 1.0"),
         ({"growing": False, "period": 0.1}, "growing = False"),
     ):
         with pytest.raises(ValueError, match=f"agent.safetensors: {message}"):
-            load_bundle(tmp_path / "agent.safetensors", TaskConfig(**config))
+            load_bundle(path, TaskConfig(**config))
     with pytest.raises(ValueError, match="observations = moon are not observed"):
         View(observations=("moon",)).columns(TASK)
     with pytest.raises(FileNotFoundError):
@@ -116,8 +115,7 @@ def test_statistics_of_another_size_are_refused():
 
 
 def test_a_changed_file_is_named(tmp_path):
-    path = tmp_path / "agent.safetensors"
-    agent = saved(path)
+    agent, path = saved(tmp_path)
     _, digest, weights = read_weights(path)
     text = json.dumps(json.loads(agent.description.model_dump_json()) | {"trained": {"seed": 1}})
     path.write_bytes(save(weights, {"description": text, "hash": digest}))
@@ -136,20 +134,17 @@ def test_view_averages_and_logarithmic_feed():
     assert features[0] == pytest.approx(expected, rel=1e-5)
     feeds = TASK.targets(view.env_actions(TASK, np.array([[-1.0, 0.0], [0.0, 0.0], [1.0, 0.3]])))
     assert feeds[:, 0] == pytest.approx([0.02, np.sqrt(0.02 * 0.4), 0.4], rel=1e-5)
-    actions = np.random.default_rng(0).uniform(-1.0, 1.0, (50, 2))
-    assert view.agent_actions(TASK, view.env_actions(TASK, actions)) == pytest.approx(actions, abs=1e-4)
+    assert view.agent_actions(TASK, view.env_actions(TASK, ACTIONS)) == pytest.approx(ACTIONS, abs=1e-4)
 
 
 def test_agent_keeps_its_min_air():
     """Its air action spans from there to the task's most; a teacher's lower air becomes the least."""
     minimum = 45.0 / 3600.0
     view = View(least_air_supply_rate=minimum)
-    spread = np.column_stack([np.zeros(3), [-1.0, 0.0, 1.0]])
     maximum = TASK.air_supply_rates[1]
-    blown = TASK.targets(view.env_actions(TASK, spread))[:, 1]
+    blown = TASK.targets(view.env_actions(TASK, np.array([[0.0, -1.0], [0.0, 0.0], [0.0, 1.0]])))[:, 1]
     assert blown == pytest.approx([minimum, 0.5 * (minimum + maximum), maximum], rel=1e-6)
-    actions = np.random.default_rng(0).uniform(-1.0, 1.0, (50, 2))
-    assert view.agent_actions(TASK, view.env_actions(TASK, actions)) == pytest.approx(actions, abs=1e-4)
+    assert view.agent_actions(TASK, view.env_actions(TASK, ACTIONS)) == pytest.approx(ACTIONS, abs=1e-4)
     assert view.agent_actions(TASK, np.array([[0.0, -1.0]]))[0, 1] == -1.0
     with pytest.raises(ValueError, match=r"least_air_supply_rate = 0.1 m3/s must be below"):
         View(least_air_supply_rate=0.1).columns(TASK)

@@ -6,8 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from probe_agents.cli import main
-from probe_agents.evaluation.plan import run_plan
 from probe_agents.evaluation.run import plan_of
 from probe_agents.policies.cases import load_case, map_of, read_case, with_probe
 from probe_agents.policies.catalogue import make_policy
@@ -42,18 +40,14 @@ def test_equivalent_air_pulls_as_strongly():
 
 
 def test_schedules_fit_the_helix_and_ranges_of_the_plant():
-    plant = Plant(
-        tube={"helix_length": 80.0}, feed={"feed_speeds": [0.05, 0.2]}, air={"air_supply_rates": [0.01, 0.03]}
-    )
-    config = plant.configured()
+    ranges = {"feed": {"feed_speeds": [0.05, 0.2]}, "air": {"air_supply_rates": [0.01, 0.03]}}
+    config = Plant(tube={"helix_length": 80.0}, **ranges).configured()
     schedule = best_schedule_for(Context(), config)
     assert knots(config)[-1] == 80.0 == schedule.position[-1]
     assert 0.05 <= min(schedule.feed_speed) <= max(schedule.feed_speed) <= 0.2
     assert min_air(config) == MIN_AIR <= min(schedule.air_supply_rate) <= max(schedule.air_supply_rate) <= 0.03
     # of another bore the least air pulls alike, and stays in range
-    narrow = min_air(NARROW.configured())
-    assert narrow < MIN_AIR
-    assert min_air(TaskConfig()) == MIN_AIR
+    assert min_air(NARROW.configured()) < MIN_AIR == min_air(TaskConfig())
     strong = NARROW.model_copy(update={"air": {"air_supply_rates": (0.02, 0.03)}}).configured()
     assert min_air(strong) == 0.02
 
@@ -70,11 +64,10 @@ def test_policies_outside_their_domain_warn_or_are_refused(passes):
         assert "(0.1 to 0.25)" in str(warning.message)
     with pytest.raises(ValueError, match=r"tension-scheduled runs outside its range: .*Leave out --strict to run it"):
         plan_of(["tension-scheduled"], case, 1, "fast", strict=True)
+    fitting = ["best-schedule", "tension-scheduled", "adaptive", "ppo"]
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        plan_of(
-            ["best-schedule", "tension-scheduled", "adaptive", "ppo"], load_case(None, "test"), 1, "fast", strict=True
-        )
+        plan_of(fitting, load_case(None, "test"), 1, "fast", strict=True)
 
 
 def test_domains_cover_probes_and_the_range_of_the_map():
@@ -156,9 +149,8 @@ def test_results_of_different_plants_never_mix(small, tmp_path):
     plant = Plant.from_toml(small)
     other = plant.model_copy(update={"tube": {"inner_diameter": 23.5e-3}})
     first, second = (plan_of(["constant"], load_case(each, "test", 1), 1, "fast") for each in (plant, other))
-    run_plan(first, tmp_path, progress=False)
-    with pytest.raises(ValueError, match="other settings"):
-        run_plan(second, tmp_path, progress=False)
+    with first.folder(tmp_path).open(), pytest.raises(ValueError, match="other settings"):
+        second.folder(tmp_path).check()
 
 
 def test_passes_and_what_is_scored():
@@ -172,12 +164,10 @@ def test_passes_and_what_is_scored():
         load_case(None, "test", 1, "in", "withdrawal")
 
 
-def test_a_file_that_is_not_valid_or_not_there_is_named(tmp_path, capsys):
-    broken = tmp_path / "broken.toml"
-    broken.write_text("[contact]\nfriction = 2.0\n")
-    assert main(["evaluate", "constant", "--tube", str(broken)]) != 0
-    error = capsys.readouterr().err.strip().splitlines()[-1]
-    assert "broken.toml: contact.friction: value = 2.0 is outside the accepted range 0 to 1" in error
+def test_a_file_that_is_not_valid_or_not_there_is_named(tmp_path, refused):
+    (tmp_path / "broken.toml").write_text("[contact]\nfriction = 2.0\n")
+    message = "broken.toml: contact.friction: value = 2.0 is outside the accepted range 0 to 1"
+    refused(["evaluate", "constant", "--tube", "broken.toml"], message)
     assert read_case(Path("example"), "test", 3).config.scene.tube.helix_length == 45.0
     with pytest.raises(FileNotFoundError) as missing:
         read_case(Path("nowhere.toml"), "test")
@@ -186,8 +176,7 @@ def test_a_file_that_is_not_valid_or_not_there_is_named(tmp_path, capsys):
 
 def test_probe_with_a_longer_guide_fits_a_full_helix():
     """The improved probe has 10 m of guide cable, the plant's own 2.5 m; table 2's helix has room for it."""
-    plant = Plant.model_validate({"tube": {"helix_length": 28.0}})
-    config = load_case(plant, "test", 1).config
+    config = load_case(Plant(tube={"helix_length": 28.0}), "test", 1).config
     own, improved = config.scene, with_probe(config, "improved").scene
     assert own.inserted_length == pytest.approx(28.0)
     assert improved.probe.guide_length == pytest.approx(10.0)

@@ -30,24 +30,17 @@ GIVEN: dict[str, Any] = {
 }  # fmt: skip
 
 
-def written(folder, given):
-    """The file of a law."""
-    path = folder / "law.json"
-    path.write_text(json.dumps(given))
-    return path
-
-
 def test_law_is_linear_between_frictions_and_lengths(tmp_path):
     """Half-way in both is the mean of four; beyond its ends it is constant; the nearest diameter counts."""
-    law = Law.read(written(tmp_path, GIVEN))
-    at = np.array
-    feed, air = law.at(at([0.15, 0.1, 0.5, 0.15]), at([32.5, 5.0, 70.0, 32.5]), at([1.0, 1.1, 1.15, 1.3]))
+    (tmp_path / "law.json").write_text(json.dumps(GIVEN))
+    places = np.array([[0.15, 0.1, 0.5, 0.15], [32.5, 5.0, 70.0, 32.5], [1.0, 1.1, 1.15, 1.3]])
+    feed, air = Law.read(tmp_path / "law.json").at(*places)
     np.testing.assert_allclose(feed, [0.25, 0.4, 0.1, 0.4])
     np.testing.assert_allclose(air, [0.025, 0.02, 0.03, 0.01])
 
 
 def test_invalid_laws_are_refused(tmp_path):
-    failures = []
+    path, failures = tmp_path / "law.json", []
     for change, problem in (
         ({"friction": [0.2, 0.1]}, "friction must ascend"),
         ({"friction": [0.1, 0.15, 0.2]}, "tables.0.feed_speed: must have 3 rows"),
@@ -61,8 +54,7 @@ def test_invalid_laws_are_refused(tmp_path):
         ({"tables": [GIVEN["tables"][0] | {"feed_speed": [[0.4, 9.0], [0.3, 0.1]]}]}, "a value is outside"),
         (None, "not JSON"),
     ):
-        path = written(tmp_path, GIVEN | (change or {}))
-        path.write_text(path.read_text() if change else "feed = 1")
+        path.write_text(json.dumps(GIVEN | change) if change else "feed = 1")
         with pytest.raises(ValueError, match=r"law\.json") as error:
             named_policies([f"mine={path}"], TaskConfig().full_observation)
         failures += [] if problem in str(error.value) and "\n" not in str(error.value) else [problem]
@@ -81,22 +73,24 @@ def test_its_rows_are_recommendations():
     assert Law.model_validate_json(law.model_dump_json()) == law
 
 
-FLAT = {"inserted_length": (5.0, 60.0), "friction": (0.1, 0.2), "tables": (
-    {"helix_diameter": 1.2, "feed_speed": ((0.3, 0.3), (0.1, 0.1)), "air_supply_rate": ((0.0175, 0.0175),) * 2},
-)}  # fmt: skip
+CONFIG = TaskConfig().full_observation
+FLAT: dict[str, Any] = {
+    "scene": Scene(), "ranges": {}, "inserted_length": (5.0, 60.0), "friction": (0.1, 0.2),
+    "tables": ({"helix_diameter": 1.2, "feed_speed": ((0.3, 0.3), (0.1, 0.1)),
+                "air_supply_rate": ((0.0175, 0.0175),) * 2},),
+}  # fmt: skip
+POLICY = LawPolicy(CONFIG, law=Law.model_validate(FLAT))
 """0.3 m/s at a friction of 0.1, 0.1 m/s at 0.2."""
 
 
 def test_law_settles_on_the_friction_of_steady_sliding():
     """From the middle of its rows with its time constant: after 15 s 1 - 1/e of the way."""
-    config = TaskConfig().full_observation
-    law, memory = Law.model_validate(GIVEN | {"scene": Scene(), "ranges": {}} | FLAT), np.zeros((2, 1))
-    policy = LawPolicy(config, law=law)
-    policy.start(memory)
+    memory = np.zeros((2, 1))
+    POLICY.start(memory)
     rest = {"inserted_length": 40.0, "feed_speed": 0.2, "air_supply_rate": 0.0175, "helix_diameter": 1.2}
     seen = {name: np.full(2, value) for name, value in rest.items()}
-    seen["root_tension"] = sliding_tension(np.array([0.1, 0.2]), seen, config.scene)
-    feeds = [policy.targets(seen, memory)[0] for _ in range(200)]
+    seen["root_tension"] = sliding_tension(np.array([0.1, 0.2]), seen, CONFIG.scene)
+    feeds = [POLICY.targets(seen, memory)[0] for _ in range(200)]
     assert feeds[14] == pytest.approx([0.3 - 0.1 / np.e, 0.1 + 0.1 / np.e], rel=1e-2)
     assert feeds[-1] == pytest.approx([0.3, 0.1], rel=1e-2)
 
@@ -109,10 +103,7 @@ def test_law_feeds_by_the_friction_from_tension():
     The law is fed at 5 m by its middle row and has 60 s and more to learn; steady sliding tells friction within 10 %
     (a fifth of the distance between the two rows).
     """
-    config = TaskConfig().full_observation
-    law = Law.model_validate(GIVEN | {"scene": Scene(), "ranges": {}} | FLAT)
-    plan = Plan({"law": LawPolicy(config, law=law)}, [Context(friction=0.1), Context(friction=0.2)], config=config,
-                fidelity=PRESETS["fast"])  # fmt: skip
-    times = run_plan(plan, None, progress=False)["inspection_time_s"]
-    assert times[0] == pytest.approx(55.0 / 0.3, rel=0.15)
-    assert times[1] == pytest.approx(55.0 / 0.1, rel=0.15)
+    tubes = [Context(friction=0.1), Context(friction=0.2)]
+    plan = Plan({"law": POLICY}, tubes, config=CONFIG, fidelity=PRESETS["fast"])
+    times = run_plan(plan, None, progress=False)["inspection_time_s"].to_numpy()
+    assert times == pytest.approx([55.0 / 0.3, 55.0 / 0.1], rel=0.15)

@@ -7,20 +7,10 @@ import pytest
 from oracles.scatter import of_another
 
 from probe_agents.evaluation.plan import Plan, run_plan
+from probe_agents.policies import planner as planning
 from probe_agents.policies.catalogue import make_policy
 from probe_agents.policies.on_map import best_schedule_for, knots
-from probe_agents.policies.planner import (
-    BLUR,
-    InsertionPlanner,
-    InspectionPlanner,
-    blur_states,
-    candidates_for_both_passes,
-    candidates_near,
-    move_to,
-    remaining_reward,
-    remaining_reward_of_both_passes,
-    reward_of_holding,
-)
+from probe_agents.policies.planner import BLUR, InsertionPlanner, InspectionPlanner, remaining_reward, reward_of_holding
 from probe_env import Context, Scene
 from probe_env.envs.episodes import Episodes
 from probe_env.envs.task import TaskConfig, uninspected_weight
@@ -64,8 +54,8 @@ def test_candidates_of_the_planner_depend_on_time_only():
 
         def drawn(rows, count, time=3, both=both):
             if both:
-                return candidates_for_both_passes(held[rows], count, config, [0, time])
-            return candidates_near(held[rows], mapped[rows], count, config, [0, time])
+                return planning.candidates_for_both_passes(held[rows], count, config, [0, time])
+            return planning.candidates_near(held[rows], mapped[rows], count, config, [0, time])
 
         suggested = np.column_stack([np.full(2, 0.4), held[:, 1]]) if both else mapped
         tried = drawn([0, 1], 41)
@@ -139,8 +129,8 @@ def test_blur_and_other_tubes_change_the_copies_only():
     episodes = running()
     state, scene = episodes.simulated().simulators[0].state.d.copy(), episodes.simulated().simulators[0].scene
     copies = episodes.branch([0, 0, 1])
-    move_to(TUBES[1], copies, range(2))
-    blur_states(copies, BLUR, [1])
+    planning.move_to(TUBES[1], copies, range(2))
+    planning.blur_states(copies, BLUR, [1])
     moved = copies.simulated().simulators
     assert copies.context == [TUBES[1]] * 3
     assert [s.scene.contact.friction for s in moved] == [0.24] * 3
@@ -166,24 +156,23 @@ def test_a_planner_holds_to_the_permitted_speed():
 
 
 def test_remaining_reward_is_that_of_the_best_schedule():
-    tube, vibration = TUBES[0], stored_map()
-    places = knots(CONFIG)
+    tube, vibration, places = TUBES[0], stored_map(), knots(CONFIG)
+    end = CONFIG.scene.tube.helix_length
     schedule = best_schedule_for(tube, CONFIG, 0.0, vibration)
     feed, air = (np.array(values) for values in schedule.at(places))
     values = np.tile([getattr(tube, name) for name in CONTEXT], (len(places), 1))
     mean, deviation = vibration.predict(places, feed, air, values, CONFIG.scene)
     rate = CONFIG.progress_weight - expected_cost(mean, deviation, feed, air, CONFIG)
     for k in (0, 7, len(places) - 2):
-        wanted = np.trapezoid(rate[k:], np.minimum(places[k:], CONFIG.scene.tube.helix_length))
+        wanted = np.trapezoid(rate[k:], np.minimum(places[k:], end))
         assert remaining_reward(tube, np.array([places[k]]), CONFIG, vibration)[0] == pytest.approx(wanted, rel=1e-9)
-    assert remaining_reward(tube, np.array([CONFIG.scene.tube.helix_length]), CONFIG, vibration)[0] == 0.0
+    assert remaining_reward(tube, np.array([end]), CONFIG, vibration)[0] == 0.0
     # beyond the last knot of a helix a schedule is what it is there, and so is what a metre of it earns
     end = 31.2
-    config = TaskConfig(scene=Scene.model_validate({"tube": {"helix_length": end}, "carrier_length": 20.0}))
+    config = TaskConfig(scene=Scene(tube={"helix_length": end}, carrier_length=20.0))
     last = knots(config)[-1]
     assert last < end
-    places = np.array([last, last + 0.5, end])
-    before, within, after = remaining_reward(TUBES[0], places, config, stored_map())
+    before, within, after = remaining_reward(tube, np.array([last, last + 0.5, end]), config, vibration)
     assert after == 0.0 != within
     assert within / (end - last - 0.5) == pytest.approx((before - within) / 0.5, rel=1e-9)
 
@@ -205,11 +194,9 @@ def test_an_estimated_tube_is_read_from_the_tension(seeds):
     known = InsertionPlanner(CONFIG, tube="estimated")._tubes([TUBES[0]], [states[0]])[0]
     assert (known.helix_diameter, known.contact_stiffness) == (TUBES[0].helix_diameter, Context().contact_stiffness)
     assert known.friction == pytest.approx(states[0].friction, abs=0.0025)
-    blind = TaskConfig(observe_root_tension=False)
+    blind = InsertionPlanner(TaskConfig(observe_root_tension=False), tube="estimated")
     with pytest.raises(ValueError, match="planner-estimated needs the root tension"):
-        InsertionPlanner(blind, tube="estimated").plan_actions(
-            episodes, [0], np.zeros((1, len(blind.observations))), [None]
-        )
+        blind.plan_actions(episodes, [0], np.zeros((1, len(blind.config.observations))), [None])
 
 
 @pytest.mark.slow
@@ -234,13 +221,12 @@ def test_planner_beats_the_map(seeds):
 
 
 def held(config, feed, air):
-    """Actions of both episodes."""
     return np.tile(config.action(feed, air), (2, 1))
 
 
 def rest(episodes, feed=0.4, air=30.0 / 3600.0):
     """Worth with the same feed and air held in all episodes: by default the fastest and the least."""
-    return remaining_reward_of_both_passes(episodes, np.tile([feed, air], (len(episodes), 1)))
+    return planning.remaining_reward_of_both_passes(episodes, np.tile([feed, air], (len(episodes), 1)))
 
 
 @pytest.mark.parametrize(("scored_pass", "measure"), [("best", "displacement"), ("withdrawal", "snr")])
@@ -250,7 +236,7 @@ def test_copies_of_an_episode_do_as_it_does(scored_pass, measure):
     episodes = begun(config)
     for _ in range(3):
         episodes.step(held(config, 0.4, 0.02))
-    aside = copy.deepcopy(episodes)
+    aside, alone = copy.deepcopy(episodes), copy.deepcopy(episodes)
     forked = episodes.branch([1, 0, 1])
     assert forked.context == [TUBES[1], TUBES[0], TUBES[1]]
     while forked.running.any():
@@ -260,9 +246,6 @@ def test_copies_of_an_episode_do_as_it_does(scored_pass, measure):
             np.testing.assert_array_equal(getattr(one, name), getattr(other, name)[[1, 0, 1]])
     assert (forked.direction < 0.0).all()
     assert not aside.running.any()
-    alone = begun(config)
-    for _ in range(3):
-        alone.step(held(config, 0.4, 0.02))
     steps = [each.step(held(config, 0.3, 0.02)) for each in (episodes, alone)]
     np.testing.assert_array_equal(steps[0].observation, steps[1].observation)
     np.testing.assert_array_equal(steps[0].reward, steps[1].reward)
@@ -296,12 +279,11 @@ def test_remaining_reward_of_both_passes():
     np.testing.assert_allclose(rest(episodes, 0.1, 0.02), 3.0 * (config.progress_weight - per_metre - slower))
     while episodes.inserted_length.min() < 6.9:
         episodes.step(held(config, 0.4, 0.02))
-    passes = episodes.scorer
-    known = [passes._insertion[k][:, 1].sum() for k in range(2)]
+    known = np.array([episodes.scorer._insertion[k][:, 1].sum() for k in range(2)])
     left = LENGTH - episodes.inserted_length
-    expected = left * config.progress_weight - (left + 3.0) * per_metre + config.vibration_weight * np.array(known)
+    expected = left * config.progress_weight - (left + 3.0) * per_metre + config.vibration_weight * known
     np.testing.assert_allclose(rest(episodes), expected)
-    assert min(known) > 0.0
+    assert known.min() > 0.0
     hanging = episodes.branch([0])
     hanging.scorer.slack_periods[0] = 1
     assert rest(hanging)[0] == pytest.approx(-uninspected_weight(config) * (left[0] + 3.0))

@@ -13,23 +13,28 @@ from probe_agents.training.config import Training
 from probe_env.envs.task import TaskConfig
 
 CONFIG = TaskConfig(privileged=True)
-SHOWN = list(CONFIG.observations)
 
 
 def observation(length=20.0, rms=1e-5):
-    values = np.zeros(len(SHOWN), dtype=np.float32)
-    values[SHOWN.index("inserted_length")] = length / 60.0
-    values[SHOWN.index("rf_noise")] = np.log10(rms / 1e-4)
-    values[SHOWN.index("helix_diameter")] = 1.2 / 2.5
-    values[SHOWN.index("root_tension")] = 4.0 / 20.0
-    values[SHOWN.index("feed_speed")], values[SHOWN.index("air_supply_rate")] = 0.5, 63.0 / 130.0
-    for name in ("friction", "contact_stiffness", "drag_factor"):
-        values[SHOWN.index(name)] = {"friction": 0.6}.get(name, 1.0)
-    return values
+    values = {
+        "inserted_length": length / 60.0, "rf_noise": np.log10(rms / 1e-4), "helix_diameter": 1.2 / 2.5,
+        "root_tension": 4.0 / 20.0, "feed_speed": 0.5, "air_supply_rate": 63.0 / 130.0, "friction": 0.6,
+        "contact_stiffness": 1.0, "drag_factor": 1.0,
+    }  # fmt: skip
+    return np.array([values.get(name, 0.0) for name in CONFIG.observations], dtype=np.float32)
 
 
 def feed_of(action):
-    return CONFIG.targets(np.atleast_2d(action))[:, 0]
+    return CONFIG.targets(np.atleast_2d(action))[0, 0]
+
+
+def feeds_of(policy, *noises):
+    """Feeds of one run that sees this noise [m] after another."""
+    feeds, state = [], None
+    for rms in noises:
+        action, state = policy.predict(observation(rms=rms)[None], state)
+        feeds.append(feed_of(action))
+    return feeds
 
 
 ROOT = Path(__file__).parents[2]
@@ -40,14 +45,14 @@ OBSERVING = [name for name in NAMES if not name.startswith("planner")]
 def test_predict_follows_sb3_s_protocol(name):
     policy = make_policy(name, CONFIG)
     one, _ = policy.predict(observation(), deterministic=True)
-    assert one.shape == (2,)
-    assert one.dtype == np.float32
-    many, states = policy.predict(np.array([observation(), observation(50.0, 2e-4)]))
+    assert (one.shape, one.dtype) == ((2,), np.float32)
+    rows = np.array([observation(), observation(50.0, 2e-4)])
+    many, states = policy.predict(rows)
     assert many.shape == (2, 2)
     assert (many[0] == one).all()
     assert (np.abs(many) <= 1.0).all()
-    second, _ = policy.predict(np.array([observation(), observation(50.0, 2e-4)]), states, np.array([False, True]))
-    fresh, _ = policy.predict(observation(50.0, 2e-4))
+    second, _ = policy.predict(rows, states, np.array([False, True]))
+    fresh, _ = policy.predict(rows[1])
     assert (second[1] == fresh).all()  # a new episode starts without memory
     assert policy.describe() == make_policy(name, CONFIG).describe()
 
@@ -80,22 +85,14 @@ def test_fixed_laws_do_what_they_are_called():
     action, _ = Constant(CONFIG).predict(observation())
     assert CONFIG.targets(action[None])[0] == pytest.approx([0.2, 63.0 / 3600.0])
     policy = SlowDown(CONFIG, fast=0.4, slow=0.1, begin=10.0, end=40.0)
-    speeds = [feed_of(policy.predict(observation(length))[0])[0] for length in (5.0, 10.0, 25.0, 40.0, 60.0)]
+    speeds = [feed_of(policy.predict(observation(length))[0]) for length in (5.0, 10.0, 25.0, 40.0, 60.0)]
     assert speeds == pytest.approx([0.4, 0.4, 0.25, 0.1, 0.1], rel=1e-5)
-    policy, state, speeds = OnOff(CONFIG, fast=0.3, slow=0.1, level=1e-4), None, []
-    for rms in (1e-5, 2e-4, 0.8e-4, 0.4e-4, 0.8e-4):
-        action, state = policy.predict(observation(rms=rms)[None], state)
-        speeds.append(feed_of(action)[0])
-    assert speeds == pytest.approx([0.3, 0.1, 0.1, 0.3, 0.3], rel=1e-5)
-    policy, state, speeds = PI(CONFIG), None, []
-    for _ in range(200):
-        action, state = policy.predict(observation(rms=1e-3)[None], state)
-        speeds.append(feed_of(action)[0])
-    assert (np.diff(speeds) <= 1e-6).all()
-    assert speeds[-1] == pytest.approx(0.02, rel=1e-4)
-    for _ in range(60):
-        action, state = policy.predict(observation(rms=1e-6)[None], state)
-    assert feed_of(action)[0] > 0.2
+    feeds = feeds_of(OnOff(CONFIG, fast=0.3, slow=0.1, level=1e-4), 1e-5, 2e-4, 0.8e-4, 0.4e-4, 0.8e-4)
+    assert feeds == pytest.approx([0.3, 0.1, 0.1, 0.3, 0.3], rel=1e-5)
+    feeds = feeds_of(PI(CONFIG), *[1e-3] * 200, *[1e-6] * 60)
+    assert (np.diff(feeds[:200]) <= 1e-6).all()
+    assert feeds[199] == pytest.approx(0.02, rel=1e-4)
+    assert feeds[-1] > 0.2
 
 
 def test_schedule_beyond_the_device_warns(tmp_path):
@@ -103,7 +100,7 @@ def test_schedule_beyond_the_device_warns(tmp_path):
     path.write_text("inserted_length_m,feed_speed_m_per_s,air_supply_m3_per_h\n5,1.5,63\n60,0.1,63\n")
     with pytest.warns(UserWarning, match=r"fast.csv: feed speed of 0.1 to 1.5 m/s is outside .* 0.02 to 0.4 m/s"):
         policy = make_policy(str(path), CONFIG)
-    assert feed_of(policy.predict(observation(5.0))[0])[0] == pytest.approx(0.4)
+    assert feed_of(policy.predict(observation(5.0))[0]) == pytest.approx(0.4)
 
     with pytest.raises(ValueError, match=r"observation of shape \(1, 5\) is not \(N, 14\)"):
         policy.predict(np.zeros(5, dtype=np.float32))
@@ -138,7 +135,7 @@ def test_a_class_of_the_user_is_a_policy_where_it_is_asked_for(tmp_path, monkeyp
     policies = named_policies(specs, CONFIG, classes=True)
     assert list(policies) == ["Mine", "slow", "shielded-Mine", "pi"]
     assert user_policies(specs) == ["Mine", "slow", "shielded-Mine"]
-    assert feed_of(policies["Mine"].predict(observation())[0])[0] == pytest.approx(0.1)
+    assert feed_of(policies["Mine"].predict(observation())[0]) == pytest.approx(0.1)
     both = make_policy(spec, TaskConfig(passes="both").full_observation, classes=True)
     assert both.insertion.describe() == policies["Mine"].describe()
     for given, message in (

@@ -17,33 +17,28 @@ from probe_env.fidelity import PRESETS
 from probe_env.files import FileError
 from probe_env.schedule import Schedule
 
-HEAD = "time_s,inserted_length_m,feed_speed_m_per_s,air_supply_m3_per_h\n"
 ROUNDING = 1e-4  # [m]: lengths are observed as float32 shares of 60 m, thousands of them
 
 
-def replay_of(tmp_path, rows, config, interpolation="steps"):
-    path = tmp_path / "log.csv"
-    path.write_text(f"# interpolation: {interpolation}\n{HEAD}" + "\n".join(rows) + "\n")
-    policy = make_policy(str(path), config)
-    assert isinstance(policy, Replayed)
-    return policy
-
-
-def log_of(speeds, seconds, start=5.0):
-    """Rows of a log that holds each speed [m/s] for some seconds."""
+def replay_of(tmp_path, config, speeds, seconds, start=5.0):
+    """The policy of a log that holds each speed [m/s] for some seconds."""
     times = np.concatenate([[0.0], np.cumsum(np.broadcast_to(seconds, len(speeds)))])
     lengths = start + np.concatenate([[0.0], np.cumsum(np.diff(times) * speeds)])
-    return [f"{t:g},{x:.6f},{u:g},63" for t, x, u in zip(times, lengths, [*speeds, speeds[-1]], strict=True)]
+    head = ["# interpolation: steps", "time_s,inserted_length_m,feed_speed_m_per_s,air_supply_m3_per_h"]
+    rows = [f"{t:g},{x:.6f},{u:g},63\n" for t, x, u in zip(times, lengths, [*speeds, speeds[-1]], strict=True)]
+    (tmp_path / "log.csv").write_text("\n".join([*head, ""]) + "".join(rows))
+    policy = make_policy(str(tmp_path / "log.csv"), config)
+    assert isinstance(policy, Replayed)
+    return policy
 
 
 def fed_by_device(policy, config, seconds, start=5.0, speed=0.2):
     """(k,) what a feed with the task's ramp has in at the end of every period [m], and the (k,) targets."""
     names, late = list(config.observations), config.delay_periods
-    rows, lengths, targets, state = [], [start], [], None
+    lengths, targets, state = [start], [], None
     for _ in range(int(seconds / config.period)):
         row = np.zeros(len(names), dtype=np.float32)
         row[names.index("inserted_length")] = lengths[max(len(lengths) - 1 - late, 0)] / 60.0
-        rows.append(row)
         action, state = policy.predict(row, state)
         target = config.targets(action[None], allow_standstill=True)[0, 0]
         ramping = min(abs(target - speed) / config.ramp, config.period)
@@ -66,7 +61,7 @@ def test_the_length_of_a_log_is_followed_for_any_speeds_in_range(tmp_path, field
     for seed in range(4):
         rng = np.random.default_rng(seed)
         speeds = np.where(rng.random(40) < 0.3, 0.0, rng.uniform(0.001, 0.75 * fast, 40))
-        policy = replay_of(tmp_path, log_of(speeds, rng.uniform(2.0, 8.0, 40).round(1)), config)
+        policy = replay_of(tmp_path, config, speeds, rng.uniform(2.0, 8.0, 40).round(1))
         lengths, targets = fed_by_device(policy, config, policy.schedule.position[-1] - config.period)
         wanted = 5.0 + policy.schedule.fed_length(config.period * np.arange(1, len(lengths) + 1))
         change = np.abs(np.diff(targets, prepend=0.2)).max()
@@ -80,11 +75,11 @@ def test_the_length_of_a_log_is_followed_for_any_speeds_in_range(tmp_path, field
 def test_replay_of_slow_feeds_and_beyond_the_log(tmp_path):
     """Rigs stop at last; an episode that stood still with them would never end."""
     config = TaskConfig()
-    policy = replay_of(tmp_path, log_of([0.3, 0.0], [20.0, 10.0]), config)
+    policy = replay_of(tmp_path, config, [0.3, 0.0], [20.0, 10.0])
     _, targets = fed_by_device(policy, config, 60.0)
     assert (targets[21:30] == 0.0).all()
     assert targets[30:] == pytest.approx(0.02)
-    policy = replay_of(tmp_path, log_of([0.005], 400.0), config)
+    policy = replay_of(tmp_path, config, [0.005], 400.0)
     lengths, targets = fed_by_device(policy, config, 399.0)
     assert lengths[-1] - 5.0 == pytest.approx(2.0, abs=0.02 + ROUNDING)
     assert (targets == 0.0).mean() == pytest.approx(0.75, abs=0.02)  # a quarter of the slowest feed
@@ -94,7 +89,7 @@ def test_late_observations_are_followed_without_swinging(tmp_path):
     """With a steady speed behind a standstill the length settles on the log's, less half of the slowest feed."""
     for delay in (1, 2, 5):
         config = TaskConfig(delay_periods=delay)
-        policy = replay_of(tmp_path, log_of([0.3, 0.0, 0.1], [20.0, 20.0, 200.0]), config)
+        policy = replay_of(tmp_path, config, [0.3, 0.0, 0.1], [20.0, 20.0, 200.0])
         lengths, _ = fed_by_device(policy, config, 239.0)
         wanted = 5.0 + policy.schedule.fed_length(np.arange(1.0, len(lengths) + 1.0))
         assert np.abs(lengths - wanted)[-60:].max() <= 0.01 + ROUNDING, delay
@@ -105,7 +100,7 @@ def test_a_log_is_followed_from_where_the_episode_begins(tmp_path):
     """What lies before is left out; a log that begins further in is caught up with, at most at the fastest feed."""
     config = TaskConfig()
     for start, skipped in ((5.0, 0.0), (3.0, 10.0), (6.0, 0.0)):
-        policy = replay_of(tmp_path, log_of([0.2], 150.0, start), config)
+        policy = replay_of(tmp_path, config, [0.2], 150.0, start)
         lengths, targets = fed_by_device(policy, config, 100.0)
         wanted = start + 0.2 * (skipped + np.arange(1.0, 101.0))
         assert np.abs(lengths - wanted)[20:].max() <= 0.01 + ROUNDING, start
@@ -159,18 +154,18 @@ def test_the_example_log_is_followed_in_an_episode(tmp_path):
     episodes, players = Episodes(1, config, fidelity="fast", threads=1, allow_standstill=True), PolicyBatch(1)
     observation, _ = episodes.reset([0], {0: np.random.default_rng(0)}, {0: {"context": Context(friction=0.2)}})
     players.begin(0, policy)
-    time, length, speed = [], [], []
+    infos = []
     while episodes.running.any():
         step = episodes.step(players.act(observation, np.array([True])))
         observation, info = step.observation, step.infos[0]
-        for values, name in ((time, "time"), (length, "inserted_length"), (speed, "target_feed_speed")):
-            values.append(info[name])
+        infos.append((info["time"], info["inserted_length"], info["target_feed_speed"]))
+    time, length, speed = np.array(infos).T
     lost = PRESETS["fast"].time_lapse * np.abs(np.diff(speed))[5:].max() ** 2 / (2.0 * config.ramp)
-    off = np.abs(np.array(length) - np.interp(time, log.time, log.inserted_length))
+    off = np.abs(length - np.interp(time, log.time, log.inserted_length))
     assert off[5:].max() <= min(lost + 0.5 * config.feed_speeds[0] + 1e-3, 0.1)  # 1 mm: the clean log's tolerance
-    assert (off < 0.01 * np.array(length))[5:].all()
+    assert (off < 0.01 * length)[5:].all()
     (dwell,) = log.dwells
-    standing = np.array(time)[np.array(speed) == 0.0]
+    standing = time[speed == 0.0]
     assert np.ptp(standing) + 1.0 == pytest.approx(dwell.duration, abs=2.0)
     assert abs(standing[0] - dwell.time) <= 2.0
     assert time[-1] == pytest.approx(log.time[-1], abs=2.0)

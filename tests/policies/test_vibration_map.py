@@ -16,16 +16,9 @@ from probe_agents.studies.searches import search_schedule
 from probe_agents.studies.vibration_map import Wandering, fit_map
 from probe_env import Context, Plant, Scene, load_contexts
 from probe_env.design import RANGES
+from probe_env.envs import vibration_map
 from probe_env.envs.task import TaskConfig
-from probe_env.envs.vibration_map import (
-    CONTEXT,
-    STORED,
-    VibrationMap,
-    expected_cost,
-    features_of,
-    rms_limit,
-    stored_map,
-)
+from probe_env.envs.vibration_map import CONTEXT, VibrationMap, expected_cost, features_of, rms_limit, stored_map
 from probe_env.files import FileError
 from probe_env.physics.closed_forms import MEASURED, SHAPE, friction_from_tension, steady_root_tension
 from probe_env.physics.model.chain import air_speed
@@ -35,7 +28,6 @@ SNR = TaskConfig(vibration_measure="snr")
 
 
 def constant_map(mean, deviation, measure="displacement"):
-    """A map that says the same everywhere."""
     layers = [(np.zeros((7, 2)), np.zeros(2)), (np.zeros((2, 2)), np.zeros(2))]
     layers.append((np.zeros((2, 2)), np.array([mean, np.log(deviation)])))
     return VibrationMap(tuple(layers), scaling=np.array([np.zeros(7), np.ones(7)]), measure=measure)
@@ -93,14 +85,12 @@ def test_stored_map_predicts_held_out_episodes(tmp_path):
     loaded = VibrationMap.load(tmp_path / "map.npz")
     features = np.random.default_rng(0).normal(size=(20, 7))
     assert (loaded.distribution(features)[0] == stored_map().distribution(features)[0]).all()
-    quality = json.loads(STORED.with_suffix(".json").read_text())
+    quality = json.loads(vibration_map.STORED.with_suffix(".json").read_text())
     assert quality["explained_variance"] > 0.9
     assert (quality["contexts"], quality["episodes"] % len(load_contexts("train"))) == ("train", 0)
-    assert (
-        Privileged(CONFIG, vibration=constant_map(0.0, 0.1)).describe()
-        != Privileged(CONFIG).describe()
-        == Privileged(CONFIG, vibration=VibrationMap.load(STORED)).describe()
-    )
+    own = Privileged(CONFIG).describe()
+    assert own == Privileged(CONFIG, vibration=VibrationMap.load(vibration_map.STORED)).describe()
+    assert own != Privileged(CONFIG, vibration=constant_map(0.0, 0.1)).describe()
 
 
 def test_best_schedule_of_a_tube_has_the_min_cost():
@@ -158,7 +148,7 @@ def settled(decades, tension_fraction=1.0, seconds=120, length=40.0):
 
     Feed and air follow what is asked for; the tension is that of friction 0.2, times ``tension_fraction``.
     """
-    names, policy, tube = list(CONFIG.observations), Adaptive(CONFIG), Context(friction=0.2)
+    policy, tube = Adaptive(CONFIG), Context(friction=0.2)
     values = np.array([[getattr(tube, name) for name in CONTEXT]])
     feed, air, state = np.array([0.2]), np.array([0.02]), None
     for _ in range(seconds):
@@ -167,14 +157,12 @@ def settled(decades, tension_fraction=1.0, seconds=120, length=40.0):
             contact={"friction": 0.2}, tube={"helix_diameter": tube.helix_diameter}, carrier_length=length - 2.5,
             feed_speed=float(feed[0]), air_supply_rate=float(air[0]),
         )  # fmt: skip
-        row = np.zeros((1, len(names)), dtype=np.float32)
         shown = {
             "inserted_length": length / 60.0, "feed_speed": feed[0] / 0.4, "air_supply_rate": air[0] * 3600.0 / 130.0,
             "rf_noise": expected + decades, "root_tension": tension_fraction * steady_root_tension(scene) / 20.0,
             "helix_diameter": tube.helix_diameter / 2.5,
         }  # fmt: skip
-        for name, value in shown.items():
-            row[0, names.index(name)] = value
+        row = np.array([[shown.get(name, 0.0) for name in CONFIG.observations]], dtype=np.float32)
         action, state = policy.predict(row, state)
         feed, air = CONFIG.targets(action).T
     return feed[0], air[0], state[0][0, 1:]
@@ -204,16 +192,13 @@ def test_agent_that_sees_the_probe_uses_its_floats():
     probe = {"carrier_float_diameter": 0.0175, "guide_float_diameter": 0.0175}
     scene = Scene(probe=probe, contact={"friction": 0.15}, carrier_length=27.5)
     config = CONFIG.full_observation
-    place = {name: k for k, name in enumerate(config.observations)}
-    row = np.zeros((1, len(place)), dtype=np.float32)
     measured = {
         "root_tension": steady_root_tension(scene) / 20.0, "inserted_length": 0.5, "feed_speed": 0.2 / 0.4,
         "air_supply_rate": scene.air_supply_rate * 3600.0 / 130.0, "helix_diameter": scene.tube.helix_diameter / 2.5,
     }  # fmt: skip
     for name, (low, high, _) in RANGES.items():
         measured[name] = (getattr(scene.probe, name) - low) / (high - low)
-    for name, value in measured.items():
-        row[0, place[name]] = value
+    row = np.array([[measured.get(name, 0.0) for name in config.observations]], dtype=np.float32)
 
     def estimate(observations):
         view = View(observations=observations, averages=(), friction_estimate=True)

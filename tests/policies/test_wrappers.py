@@ -1,6 +1,7 @@
 """Policies around a policy: the shield keeps the drive and leaves alone what is safe."""
 
 from collections import deque
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,7 +16,6 @@ from probe_env.fidelity import ROUND_TRIP_PRESETS, resolve_fidelity
 from probe_env.physics.closed_forms import sliding_tension
 
 CONFIG = TaskConfig(scene=Scene.fitted({"tube": {"helix_length": 30.0}})).full_observation
-LITTLE = {"feed_speed": 0.4, "air_supply_rate": 30.0 / 3600.0}
 HARD = (
     Context(friction=0.25, drag_factor=0.9, helix_diameter=1.0, contact_stiffness=0.7e5),
     Context(friction=0.35, drag_factor=0.7, helix_diameter=1.0),
@@ -35,22 +35,14 @@ def measured(friction, config=CONFIG):
     return observe(config, values, np.zeros((len(friction), 2)))
 
 
-class Given:
+def given(actions):
     """A policy that does what it is told."""
-
-    def __init__(self, actions):
-        self.actions = np.asarray(actions, dtype=np.float32)
-
-    def predict(self, observation, state=None, episode_start=None, deterministic=False):
-        return self.actions.copy(), None
-
-    def describe(self):
-        return {"policy": "Given"}
+    return SimpleNamespace(predict=lambda *_, **__: (np.array(actions, dtype=np.float32), None))
 
 
 def acted(actions, friction, config=CONFIG, **options):
     """Actions behind a shield that already knows the friction."""
-    shield = Shielded(config, Given(actions), **options)
+    shield = Shielded(config, given(actions), **options)
     return shield.predict(measured(friction, config=config), (None, np.asarray(friction)))[0]
 
 
@@ -64,14 +56,14 @@ def tensions(actions, friction):
 
 def test_shield_changes_only_targets_below_the_margin():
     rng = np.random.default_rng(0)
-    given, friction = rng.uniform(-1.0, 1.0, (500, 2)).astype(np.float32), rng.uniform(0.1, 0.5, 500)
-    wanted, shielded = tensions(given, friction), acted(given, friction)
+    told, friction = rng.uniform(-1.0, 1.0, (500, 2)).astype(np.float32), rng.uniform(0.1, 0.5, 500)
+    wanted, shielded = tensions(told, friction), acted(told, friction)
     safe = wanted >= 1.5 * 0.8
     assert 50 < safe.sum() < 450
-    assert (shielded[safe] == given[safe]).all()
+    assert (shielded[safe] == told[safe]).all()
     # float32 actions and observations: 1e-5 of the friction that is read
     assert tensions(shielded[~safe], friction[~safe]) == pytest.approx(1.2, rel=1e-4)
-    assert (shielded[~safe, 0] == given[~safe, 0]).all()  # there is air enough
+    assert (shielded[~safe, 0] == told[~safe, 0]).all()  # there is air enough
 
 
 def test_the_margin_is_that_of_the_route():
@@ -87,19 +79,17 @@ def test_shield_takes_the_nearest_safe_action():
     """Of a grid of 201 x 201; blowing more alone is off the nearest point by (0.19 / 34)^2 / 2 = 2e-5 of the way."""
     axis = np.linspace(-1.0, 1.0, 201)
     grid = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1).reshape(-1, 2)
-    given = np.array([[0.3, -0.98]], dtype=np.float32)
+    told = np.array([[0.3, -0.98]], dtype=np.float32)
     for friction in (0.25, 0.4, 0.7):
-        shielded = acted(given, np.array([friction]))
         kept = grid[tensions(grid, friction) >= 1.2]
-        nearest = np.hypot(*(kept - given).T).min()
-        assert 0.0 < np.hypot(*(shielded - given)[0]) <= nearest * (1.0 + 3e-5) + 1e-6
+        nearest = np.hypot(*(kept - told).T).min()
+        assert 0.0 < np.hypot(*(acted(told, np.array([friction])) - told)[0]) <= nearest * (1.0 + 3e-5) + 1e-6
 
 
 def test_shield_slows_the_feed_or_adds_air_in_whole_steps():
     assert acted([[1.0, 0.9]], np.array([0.5]), margin=40.0)[0].tolist() == [-1.0, 1.0]
     config = CONFIG.model_copy(update={"air_supply_step": 10.0 / 3600.0})
-    given = np.array([[config.standstill, -1.0]], dtype=np.float32)
-    shielded = acted(given, np.array([0.6]), config)
+    shielded = acted([[config.standstill, -1.0]], np.array([0.6]), config)
     assert shielded[0, 0] == config.standstill
     air = config.targets(shielded, allow_standstill=True)[0, 1] * 360.0
     assert air == pytest.approx(round(air), abs=1e-5)
@@ -107,28 +97,26 @@ def test_shield_slows_the_feed_or_adds_air_in_whole_steps():
 
 
 def outcomes(policy, tubes):
-    """KPIs and profile by policy and tube, without and with the shield."""
+    """Pairs of KPIs and profile without and with the shield, by tube."""
     policies = {"bare": policy, "shielded": Shielded(CONFIG, policy)}
     plan = Plan(policies, tubes, config=CONFIG, fidelity=resolve_fidelity("fast"))
     runner, ended = RolloutRunner(plan, deque(plan.episode_ids()), 12, 1), []
     while not runner.over:
         ended += runner.step()
-    return {tuple(record["episode"][:2]): (record["kpis"], record["profile"]) for record in ended}
+    found = {tuple(record["episode"][:2]): (record["kpis"], record["profile"]) for record in ended}
+    return [(found["bare", k], found["shielded", k]) for k in range(len(tubes))]
 
 
 def test_shield_keeps_the_drive_in_hard_tubes():
-    found = outcomes(Constant(CONFIG, **LITTLE), HARD)
-    for k in range(len(HARD)):
-        without, with_it = found["bare", k][0], found["shielded", k][0]
+    for (without, _), (with_it, _) in outcomes(Constant(CONFIG, feed_speed=0.4, air_supply_rate=30.0 / 3600.0), HARD):
         assert without["lost_drive"] == 1.0
         assert (with_it["complete"], with_it["cost_lost_drive"]) == (1.0, 0.0)
 
 
 @pytest.mark.slow
 def test_shield_does_not_change_the_best_schedule():
-    found = outcomes(make_policy("best-schedule", CONFIG), (*HARD, Context(friction=0.15)))
-    for k in range(len(HARD) + 1):
-        assert found["bare", k] == found["shielded", k]
+    for without, with_it in outcomes(make_policy("best-schedule", CONFIG), (*HARD, Context(friction=0.15))):
+        assert without == with_it
 
 
 def test_it_goes_by_a_prefix(tmp_path):
@@ -148,19 +136,18 @@ def test_it_goes_by_a_prefix(tmp_path):
     assert make_policy("shielded:pi", CONFIG).describe() == make_policy("shielded:pi", CONFIG).describe()
 
 
-INSTRUMENT = {"instrument": {"test_frequency": 100.0}}
-"""Permits 100 Hz / 4 x 20 mm / 2 = 0.25 m/s."""
+INSTRUMENT = {"instrument": {"test_frequency": 100.0}}  # permits 100 Hz / 4 x 20 mm / 2 = 0.25 m/s
 
 
 def test_feed_is_limited_to_the_permitted_speed():
     config = CONFIG.model_copy(update=INSTRUMENT)
     actions = config.actions(np.array([0.4, 0.26, 0.25, 0.1]), np.full(4, 0.02)).astype(np.float32)
-    limited = SpeedLimited(config, Given(actions)).predict(measured(np.full(4, 0.2)))[0]
+    limited = SpeedLimited(config, given(actions)).predict(measured(np.full(4, 0.2)))[0]
     assert config.targets(limited)[:, 0] == pytest.approx([0.25, 0.25, 0.25, 0.1], abs=1e-7)
     assert (limited[:, 1] == actions[:, 1]).all()
     assert (limited[3] == actions[3]).all()
     steps = config.model_copy(update={"feed_speed_step": 0.1})  # not the nearest step, which is faster than permitted
-    limited = SpeedLimited(steps, Given(actions)).predict(measured(np.full(4, 0.2)))[0]
+    limited = SpeedLimited(steps, given(actions)).predict(measured(np.full(4, 0.2)))[0]
     assert steps.targets(limited)[:, 0] == pytest.approx([0.2, 0.2, 0.2, 0.1])
 
 
@@ -171,19 +158,17 @@ def test_permitted_speed_applies_to_scored_passes_only(scored_pass, feeds):
     config = CONFIG.model_copy(update=INSTRUMENT | {"passes": "both", "scored_pass": scored_pass})
     rows = np.zeros((2, len(config.observations)), dtype=np.float32)
     rows[:, list(config.observations).index("direction")] = 1.0, -1.0
-    limited = SpeedLimited(config, Given([[1.0, 0.0], [1.0, 0.0]])).predict(rows)[0]
+    limited = SpeedLimited(config, given([[1.0, 0.0], [1.0, 0.0]])).predict(rows)[0]
     assert config.targets(limited)[:, 0] == pytest.approx(feeds)
     assert fastest_withdrawal(config).feed_speed == pytest.approx((feeds[1],))
 
 
 def test_what_it_cannot_do_is_refused():
     with pytest.raises(ValueError, match=r"margin = 0.5 is outside the accepted range 1 to 100"):
-        Shielded(CONFIG, Given([[0.0, 0.0]]), margin=0.5)
+        Shielded(CONFIG, given([[0.0, 0.0]]), margin=0.5)
     with pytest.raises(ValueError, match="the shield needs the root tension"):
         make_policy("shielded:pi", TaskConfig(observe_root_tension=False))
     for passes in ("in", "both"):
         with pytest.raises(ValueError, match="'shielded:planner': the shield needs a policy that acts on observations"):
             make_policy("shielded:planner", TaskConfig(passes=passes).full_observation)
-    with pytest.raises(ValueError, match="'reference': superelement does not simulate withdrawal; give one of stan"):
-        resolve_fidelity("reference", round_trip=True)
     assert resolve_fidelity("fast", round_trip=True) == ROUND_TRIP_PRESETS["fast"]

@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pandas as pd
@@ -20,21 +21,10 @@ seeds = [3, 4]
 phases = 3
 phase_steps = 256
 averages = [5.0]
-[environment]
-num_envs = 4
-fidelity = { time_lapse = 20.0 }
-task = { settle_time = 0.1, time_limit = 20.0 }
-[network]
-net_arch = [32, 32]
-log_std_init = -2.0
-[learning]
-n_steps = 64
-batch_size = 64
-n_epochs = 2
-learning_rate = 1e-3
-[validation]
-limit = 1
-fidelity = { time_lapse = 20.0 }
+environment = { num_envs = 4, fidelity = { time_lapse = 20.0 }, task = { settle_time = 0.1, time_limit = 20.0 } }
+network = { net_arch = [32, 32], log_std_init = -2.0 }
+learning = { n_steps = 64, batch_size = 64, n_epochs = 2, learning_rate = 1e-3 }
+validation = { limit = 1, fidelity = { time_lapse = 20.0 } }
 """
 PARAMETERS = [*SPACE, ROLLOUT]
 TRIALS = 13
@@ -151,16 +141,10 @@ def test_failed_training_is_reported_and_search_continues(tmp_path, monkeypatch,
     assert ((table["state"] == "failed") == (table["learning.learning_rate"] > 1e-4)).all()
     assert table.loc[table["state"] == "failed", "reward"].isna().all()
     assert set(table["state"]) == {"complete", "failed"}  # of this seed
-    monkeypatch.setattr(
-        module, "train", lambda *_, **__: breaking(Training(learning={"learning_rate": 1.0}), *_[1:], **__)
-    )
+    monkeypatch.setattr(module, "train", Mock(side_effect=ValueError("weights that are not finite")))
     assert main(["tune", str(written(tmp_path)), "--trials", "2", "--output", str(tmp_path / "all")]) == 2
     assert "error: all 2 trainings failed: weights that are not finite" in capsys.readouterr().err
-
-    def damaged(*_, **__):
-        raise FileError("checkpoint.pt", "cut off")
-
-    monkeypatch.setattr(module, "train", damaged)
+    monkeypatch.setattr(module, "train", Mock(side_effect=FileError("checkpoint.pt", "cut off")))
     with pytest.raises(FileError, match="cut off"):  # not a failed training
         search(tuning_of(tmp_path), 7, tmp_path)
 
@@ -182,11 +166,8 @@ def test_tune_resumes_and_writes_the_best_training_file(tmp_path, whole, stubbed
     best = complete.loc[complete["reward"].idxmax()]
     text = (output / "found.toml").read_text()
     tuned, given = Training.from_toml(output / "found.toml"), Training.from_toml(path)
-    assert tuned.learning == given.learning.model_copy(
-        update={
-            name.removeprefix("learning."): best[name].item() for name in PARAMETERS if name.startswith("learning.")
-        }
-    )
+    chosen = {name.removeprefix("learning."): best[name].item() for name in PARAMETERS if "learning." in name}
+    assert tuned.learning == given.learning.model_copy(update=chosen)
     assert "x".join(map(str, tuned.network.net_arch)) == best["network.net_arch"]
     same = {"learning": True, "network": True}
     assert tuned.model_dump(exclude=same) == given.model_dump(exclude=same)
@@ -200,52 +181,40 @@ def test_tune_resumes_and_writes_the_best_training_file(tmp_path, whole, stubbed
     assert (output / "search.png").stat().st_size > 5000
 
 
-def test_a_folder_holds_one_search(tmp_path, stubbed, capsys):
+def test_a_folder_holds_one_search(tmp_path, stubbed, capsys, refused):
     output = tmp_path / "out"
-
-    def run(text, *options):
-        return main(["tune", str(written(tmp_path, text)), "--trials", "2", "--output", str(output), *options])
-
-    assert run(FILE) == 0
+    run = ["tune", str(written(tmp_path)), "--trials", "2", "--output", str(output)]
+    assert main(run) == 0
+    capsys.readouterr()
     for text, options, name in (
         (FILE.replace("batch_size = 64", "batch_size = 8"), (), "learning.batch_size 64, now 8"),
         (FILE.replace("[3, 4]", "[4, 3]"), (), "seeds [3], now [4]"),
         (FILE, ("--phases", "1"), "phases 2, now 1"),
         (FILE, ("--seed", "1"), "seed 0, now 1"),
     ):
-        capsys.readouterr()
-        assert run(text, *options) == 2
-        assert f"{output}: these trials were trained with other settings ({name}): choose" in capsys.readouterr().err
-    assert run(FILE.replace("[3, 4]", "[3]")) == 0  # the others are not trained here
+        written(tmp_path, text)
+        refused([*run, *options], f"{output}: these trials were trained with other settings ({name}): choose")
+    written(tmp_path, FILE.replace("[3, 4]", "[3]"))
+    assert main(run) == 0  # the others are not trained here
+    capsys.readouterr()
     with run_lock(output):
-        assert run(FILE) == 2
-    message = f"probe-env: error: {output}: another process is working there: wait for it, or choose another folder"
-    assert capsys.readouterr().err.splitlines()[-1] == message
+        refused(run, f"{output}: another process is working there: wait for it, or choose another folder\n")
 
 
-def test_options_and_a_search_table_are_refused(tmp_path, capsys):
+def test_options_and_a_search_table_are_refused(tmp_path, refused):
     for text, options, message in (
         (FILE + "[search]\nlearning.gamma = [0.9, 0.99]\n", (), "search: there is no such field"),
-        *((FILE, (f"--{name}", str(value)), f"{name} = {value} is outside the accepted range")
+        *((FILE, (f"--{name}", value), f"{name} = {value} is outside the accepted range")
           for name, value in (("phases", 4), ("phases", 0), ("trials", 0), ("seed", -1))),
     ):  # fmt: skip
-        assert main(["tune", str(written(tmp_path, text)), "--output", str(tmp_path / "out"), *options]) == 2
-        error = capsys.readouterr().err
-        assert message in error
-        assert error.count("\n") == 1
-    assert not (tmp_path / "out").exists()
+        refused(["tune", written(tmp_path, text), "--output", "out", *options], message)
 
 
 def test_rollouts_fill_phases_and_shipped_files_can_be_written(tmp_path):
     """Of 32 to 512 steps in three environments, phases of 384 steps hold whole rollouts of 32, 64 and 128."""
-
-    def rollouts(num_envs, phase_steps):
+    for num_envs, phase_steps, choices in ((3, 384, (32, 64, 128)), (5, 16_384, None)):
         training = Training(environment={"num_envs": num_envs}, phase_steps=phase_steps)
-        space = Tuning(training=training, phases=1).space
-        return space[ROLLOUT].choices if ROLLOUT in space else ()
-
-    assert rollouts(3, 384) == (32, 64, 128)
-    assert rollouts(5, 16_384) == ()
+        assert getattr(Tuning(training=training, phases=1).space.get(ROLLOUT), "choices", None) == choices
     for name in ("ppo", "student", "ppo-any-probe"):
         training = Training.from_toml(file_or_shipped("train", Path(name)))
         (tmp_path / "again.toml").write_text(training.to_toml())
