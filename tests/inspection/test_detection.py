@@ -27,7 +27,6 @@ from probe_env.inspection.snr import COUNT, FREQUENCY, FilteredSignal, SnrEstima
 
 SENSOR = Sensor()
 CHANCE = 1e-4
-SILENT = np.zeros(COUNT)
 
 
 def test_false_calls_have_the_nominal_rate():
@@ -79,17 +78,13 @@ def test_spiky_excursions_hide_flaws():
     assert predicted < float(pod_gaussian(np.array(snr), z)) + 0.06
 
 
-def detection_of(snr, lengths):
-    detection = DetectionMetrics(SENSOR)
-    for value, length in zip(snr, lengths, strict=True):
-        detection.add(length, FilteredSignal(*map(np.asarray, (value, 0.0, 0.5, SILENT))))
-    return detection
-
-
 def test_an_episode_is_averaged_over_its_length():
     """Half at one signal-to-noise, half at another, and a tenth of the tube not inspected."""
     z = threshold(SENSOR, 60.0)
-    kpis = detection_of([2.0, 8.0], [27.0, 27.0]).kpis(60.0, 60.0)
+    detection = DetectionMetrics(SENSOR)
+    for snr in (2.0, 8.0):
+        detection.add(27.0, FilteredSignal(*map(np.asarray, (snr, 0.0, 0.5, np.zeros(COUNT)))))
+    kpis = detection.kpis(60.0, 60.0)
     curve = 0.45 * sum(pod_gaussian(snr_at(SENSOR, np.array([snr])), z)[0] for snr in (2.0, 8.0))
     assert kpis["pod"] == pytest.approx(curve, rel=1e-12)
     assert kpis["length_with_snr_over_3_m"] == 27.0
@@ -117,13 +112,8 @@ def test_the_formula_agrees_with_10000_flaws(seeds):
     Noise of one second is shared by many flaws: the fit's intervals are those of clusters, one a probe and second.
     """
     members, seconds, feed, flaws = 8, 9, 0.2, 10_000
-    batch = SimulatorBatch(
-        [Scene(carrier_length=35.0, feed_speed=feed)] * members,
-        "superelement32",
-        seeds=seeds(members),
-        threads=1,
-        perturbation=1e-6,
-    )
+    scenes = [Scene(carrier_length=35.0, feed_speed=feed)] * members
+    batch = SimulatorBatch(scenes, "superelement32", seeds=seeds(members), threads=1, perturbation=1e-6)
     batch.advance(None, None, 3.0)
     estimator, detection, traces, spectra = SnrEstimator(SENSOR, members, 1e-3), DetectionMetrics(SENSOR), [], []
     for second in range(seconds):
@@ -135,21 +125,19 @@ def test_the_formula_agrees_with_10000_flaws(seeds):
             for k in range(members):
                 detection.add(1.0, estimator.last(k))
     kpis, z = detection.kpis(float(sum(detection.lengths)), 60.0), detection.threshold(60.0)
-    curve = kpis["pod"]
     motion, spectrum = np.concatenate(traces), np.concatenate(spectra)
     rng = np.random.default_rng(seeds(1)[0])
     second, depth = rng.integers(len(motion), size=flaws), np.exp(rng.uniform(math.log(0.05), 0.0, flaws))
     called = np.array([_called(motion[k], spectrum[k], a, feed, z, rng) for k, a in zip(second, depth, strict=True)])
-    predicted = np.interp(np.log(depth), np.log(DEPTHS), logit(np.clip(curve, 1e-6, 1.0 - 1e-6)))
-    fit = Logit(called.astype(float), np.column_stack([np.ones(flaws), predicted])).fit(
-        disp=0, cov_type="cluster", cov_kwds={"groups": second}
-    )
+    predicted = np.interp(np.log(depth), np.log(DEPTHS), logit(np.clip(kpis["pod"], 1e-6, 1.0 - 1e-6)))
+    regression = Logit(called.astype(float), np.column_stack([np.ones(flaws), predicted]))
+    fit = regression.fit(disp=0, cov_type="cluster", cov_kwds={"groups": second})
     law = multivariate_t(fit.params, fit.cov_params(), df=len(motion) - 1)  # t: the variance is that of the clusters
     draws = law.rvs(40_000, random_state=rng)
     logits = (math.log(9.0) - draws[:, 0]) / draws[:, 1]  # of the formula's curve where the fit says 90 %
     low, high = np.quantile(logits, [0.5 * CHANCE, 1.0 - 0.5 * CHANCE])
     assert low <= math.log(9.0) <= high
-    a90 = [depth_found(curve, 1.0 / (1.0 + math.exp(-end))) for end in np.quantile(logits, [0.025, 0.975])]
+    a90 = [depth_found(kpis["pod"], 1.0 / (1.0 + math.exp(-end))) for end in np.quantile(logits, [0.025, 0.975])]
     # so the interval says something: log a90 is 0.105 wide, and the logarithm of that scatters by 0.22 over 16 sets of
     # seeds, which leaves 0.32 to chance
     assert a90[1] / a90[0] < math.exp(0.105 * math.exp(of_another(0.22, 16)))

@@ -1,4 +1,4 @@
-"""The table [instrument] of a plant: permitted speeds worked by hand, and the filters behind the formulas."""
+"""The tables [sensor] and [instrument] of a plant: permitted speeds worked by hand, and filters behind the formulas."""
 
 import math
 import re
@@ -10,7 +10,7 @@ from scipy.signal import butter, freqs
 
 from probe_env import Plant, TaskConfig
 from probe_env.inspection.instrument import CARRIER_FRACTION, FLAW_BAND, Instrument
-from probe_env.inspection.sensor import ENERGY, power
+from probe_env.inspection.sensor import ENERGY, Sensor, power
 
 
 def test_each_requirement_gives_its_speed_and_the_lowest_holds():
@@ -55,39 +55,35 @@ def test_the_permitted_feed_is_a_step_of_the_device():
     assert longer.permitted_feed == pytest.approx(0.345)
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
+def test_errors_name_field_value_and_cause(tmp_path):
+    path = tmp_path / "tube.toml"
+    for text, message in (
         ("sensor.flaw_width = 0.0", "sensor.flaw_width: 0.0 m is outside the accepted range 0.001 to 0.5 m"),
         ("sensor.shaken_snr = 8.0", "shaken_snr = 8.0 must be below quiet_snr = 7.5"),
         ("sensor.gain = 3.0", "sensor.gain: there is no such field; accepted: flaw_width, groove_signal"),
         ("instrument.bandwidth = 0.0", "instrument.bandwidth: 0.0 Hz is outside the accepted range 0.1 to 1e+06 Hz"),
-        (
-            "instrument.sample_rate = 1e3",
-            "instrument: sample_rate and samples_per_mm go together: samples_per_mm is missing",
-        ),
+        ("instrument.sample_rate = 1e3", "sample_rate and samples_per_mm go together: samples_per_mm is missing"),
         (
             "instrument.band = 3.0",
-            "instrument.band: there is no such field; accepted: sample_rate, samples_per_mm, bandwidth",
+            "instrument.band: there is no such field; accepted: sample_rate, samples_per_mm, ban",
         ),
-        (
-            "instrument.bandwidth = 1.0",
-            "instrument.bandwidth permits at most 0.01 m/s, and feed_speeds begin at 0.02 m/s",
-        ),
-    ],
+        ("instrument.bandwidth = 1.0", "instrument.bandwidth permits at most 0.01 m/s, and feed_speeds begin at 0.02"),
+    ):
+        path.write_text(text)
+        with pytest.raises(ValueError, match=re.escape(str(path)) + ": .*" + re.escape(message)):
+            Plant.from_toml(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "own", "usual"),
+    [("sensor", Sensor(quiet_snr=6.0, flaw_width=0.03), Sensor()), ("instrument", Instrument(bandwidth=20.0), None)],
 )
-def test_errors_name_field_value_and_cause(tmp_path, text, message):
-    path = tmp_path / "tube.toml"
-    path.write_text(text)
-    with pytest.raises(ValueError, match=re.escape(str(path)) + ": .*" + re.escape(message)):
-        Plant.from_toml(path)
-
-
-def test_a_plant_carries_its_instrument_to_the_task():
-    plant = Plant(instrument={"bandwidth": 20.0})
-    assert plant.config.instrument == Instrument(bandwidth=20.0)
+def test_a_plant_carries_its_tables_to_the_task(name, own, usual):
+    plant = Plant(**{name: own.model_dump(exclude_unset=True)})
+    assert getattr(plant.config, name) == own
+    assert getattr(plant.configured(changes={name: usual}), name) == usual
+    assert getattr(Plant().config, name) == getattr(TaskConfig(), name) == usual
     assert Plant.model_validate(plant.model_dump()).config == plant.config
     assert TaskConfig.model_validate_json(plant.config.model_dump_json()) == plant.config
-    assert Plant().config.instrument is None
-    with pytest.raises(ValueError, match=r"task.instrument: belongs in \[instrument\]"):
-        Plant(task={"instrument": {}})
+    with pytest.raises(ValueError, match=rf"task.{name}: belongs in \[{name}\]"):
+        Plant(task={name: {}})

@@ -52,14 +52,11 @@ def test_flaw_is_detected_if_either_pass_detects_it():
     either.add("back", 10.0, 45.0, signal(3.0, peak_to_peak=0.4))
     kpis = either.kpis(80.0, 60.0)
     pieces = [(10.0, 2.0, 0.0), (20.0, 2.0, 3.0), (10.0, 6.0, 3.0), (5.0, 0.0, 3.0), (15.0, 0.0, 8.0)]
-    called = [
-        length * (1.0 - np.prod([1.0 - pod(snr) for snr in both if snr > 0.0], axis=0)) for length, *both in pieces
-    ]
-    assert kpis["pod"] == pytest.approx(sum(called) / 80.0, rel=1e-12)
+    called = sum(length * (1.0 - np.prod([1.0 - pod(x) for x in both if x > 0.0], axis=0)) for length, *both in pieces)
+    assert kpis["pod"] == pytest.approx(called / 80.0, rel=1e-12)
     assert kpis["length_with_snr_over_3_m"] == 50.0
-    assert kpis["noise_peak_to_peak_v"] == pytest.approx(
-        (10.0 * 0.1 + 20.0 * 0.4 + 10.0 * 0.2 + 5.0 * 0.4 + 15.0 * 0.3) / 60.0
-    )
+    peak_to_peak = 10.0 * 0.1 + 20.0 * 0.4 + 10.0 * 0.2 + 5.0 * 0.4 + 15.0 * 0.3
+    assert kpis["noise_peak_to_peak_v"] == pytest.approx(peak_to_peak / 60.0)
     assert kpis["call_threshold"] == pytest.approx(HALF)
     assert kpis["noise_gaussian"] == 1.0
 
@@ -70,8 +67,7 @@ def test_intervals_may_end_anywhere():
     both[0].add("in", 5.0, 60.0, signal(4.0))
     both[0].add("back", 5.0, 60.0, signal(5.0))
     for segment, count, snr in (("in", 37, 4.0), ("back", 23, 5.0)):
-        ends = np.linspace(5.0, 60.0, count).tolist()
-        for low, high in pairwise(ends):
+        for low, high in pairwise(np.linspace(5.0, 60.0, count).tolist()):
             both[1].add(segment, low, high, signal(snr))
     whole, cut = (with_pod_columns(metrics.kpis(55.0, 60.0)) for metrics in both)
     assert cut == pytest.approx(whole, rel=1e-9)
