@@ -18,7 +18,6 @@ from bokeh.events import ButtonClick
 
 from probe_agents.app.runs import Frame, Run, RunRequest
 from probe_agents.app.screens.page import PATIENCE, Page
-from probe_agents.app.state import AppState
 from probe_agents.app.worker import row_of, shape_of
 from probe_agents.design.compare import cells, read_comparison, summarise
 from probe_agents.evaluation.plan import Plan, RolloutRunner
@@ -35,16 +34,17 @@ def end_process(path):
     os._exit(1)
 
 
-class Idle:
-    """A queue without a worker."""
-
-    runs: tuple[()] = ()
-    changes = 0
-
-
 @pytest.fixture
-def app(tmp_path):
-    return AppState(Idle(), tmp_path)
+def page(app):
+    return Page(app)
+
+
+def runner_of(names, batch, tube=None):
+    """Insertions into the first tube of a plant."""
+    case = load_case(tube, "test", 1)
+    config = case.config.full_observation
+    plan = Plan(named_policies(names, config), case.contexts, config=config, fidelity=resolve_fidelity("fast"))
+    return RolloutRunner(plan, deque(plan.episode_ids()), batch, 1)
 
 
 def test_every_screen_is_built_for_an_own_tube(app):
@@ -65,11 +65,10 @@ def test_every_screen_is_built_for_an_own_tube(app):
     assert page.session.tube.plant.tube.helix_length == 30.0
 
 
-def test_updates_wait_until_the_browser_has_drawn_the_last(app, monkeypatch):
+def test_updates_wait_until_the_browser_has_drawn_the_last(app, page, monkeypatch):
     """Changes meanwhile are in the next one; it waits for ``PATIENCE`` at most."""
-    page, updates = Page(app), []
+    updates, problems = [], []
     page.add_to(Document())
-    problems = []
 
     def refresh():
         if problems:
@@ -112,12 +111,9 @@ def test_updates_wait_until_the_browser_has_drawn_the_last(app, monkeypatch):
     assert updates == [0, 2, 2.5, 3, 4, 6]  # begin and end of a run are shown at once
 
 
-def test_side_charts_refresh_less_often_than_the_tube(app, monkeypatch):
-    case = load_case(None, "test", 1)
-    config = case.config.full_observation
-    plan = Plan(named_policies(["constant"], config), case.contexts, config=config, fidelity=resolve_fidelity("fast"))
-    runner, page = RolloutRunner(plan, deque(plan.episode_ids()), 1, 1), Page(app)
-    screen, clock = page.insertion, SimpleNamespace(monotonic=iter((10.0, 10.1, 10.5, 10.55)).__next__)
+def test_side_charts_refresh_less_often_than_the_tube(app, page, monkeypatch):
+    runner, screen = runner_of(["constant"], 1), page.insertion
+    clock = SimpleNamespace(monotonic=iter((10.0, 10.1, 10.5, 10.55)).__next__)
     monkeypatch.setattr("probe_agents.app.screens.insertion.time", clock)
     run = page.session.run = Run(RunRequest(policies=("constant",), output=app.output), "running")
 
@@ -135,13 +131,10 @@ def test_side_charts_refresh_less_often_than_the_tube(app, monkeypatch):
     assert len(screen.charts.source.data["inserted_length"][0]) == 4
 
 
-def test_charts_switch_together_to_the_next_insertion(app, monkeypatch):
+def test_charts_switch_together_to_the_next_insertion(app, page, monkeypatch):
     """The slow one is watched next, though the charts were drawn a moment ago."""
-    case = load_case(Plant(tube={"helix_length": 7.0}), "test", 1)
-    config, names = case.config.full_observation, ["constant", "slow"]
-    plan = Plan(named_policies(names, config), case.contexts, config=config, fidelity=resolve_fidelity("fast"))
-    runner, page = RolloutRunner(plan, deque(plan.episode_ids()), 2, 1), Page(app)
-    screen = page.insertion
+    names, screen = ["constant", "slow"], page.insertion
+    runner = runner_of(names, 2, Plant(tube={"helix_length": 7.0}))
     monkeypatch.setattr("probe_agents.app.screens.insertion.time", SimpleNamespace(monotonic=lambda: 10.0))
     run = page.session.run = Run(RunRequest(policies=tuple(names), output=app.output), "running")
     for k in (0, 1):
@@ -154,14 +147,13 @@ def test_charts_switch_together_to_the_next_insertion(app, monkeypatch):
         assert f"<b>{names[k]}, tube 0</b>" in screen.status.text
         assert f"Observation of {names[k]}<" in screen.observation.text
         length = float(re.search(r"inserted length</td><td>([\d.]+)", screen.observation.text)[1])
-        assert length == pytest.approx(run.trace(runner.episode_id(k))["inserted_length"][-1], rel=1e-3)
-        requested = run.trace(runner.episode_id(k))["target_feed_speed"][-1]
-        assert f"It requests <b>{requested:.3f} m/s" in screen.observation.text
+        trace = run.trace(runner.episode_id(k))
+        assert length == pytest.approx(trace["inserted_length"][-1], rel=1e-3)
+        assert f"It requests <b>{trace['target_feed_speed'][-1]:.3f} m/s" in screen.observation.text
     assert screen.charts.source.data["colour"] == list(policy_colours(names).values())
 
 
-def test_a_policy_has_one_colour_everywhere(app):
-    page = Page(app)
+def test_a_policy_has_one_colour_everywhere(page):
     page.schedule.overlay.value = ["constant", "best-schedule"]
     colours = dict(zip(page.schedule.lines.data["name"], page.schedule.lines.data["colour"], strict=True))
     assert colours == {"constant": PALETTE[2], "best-schedule": PALETTE[1]}
@@ -170,13 +162,10 @@ def test_a_policy_has_one_colour_everywhere(app):
     assert len(set(policy_colours(map(str, range(21))).values())) == 21
 
 
-def test_uploads_of_equal_name_are_both_stored(app):
-    page = Page(app)
+def test_uploads_of_equal_name_are_both_stored(app, page):
     text = "inserted_length_m,feed_speed_m_per_s,air_supply_m3_per_h\n5,{},60\n"
-    stored = [
-        page.session.store_upload("../mine.csv", base64.b64encode(text.format(feed).encode()).decode())
-        for feed in (0.1, 0.2)
-    ]
+    coded = [base64.b64encode(text.format(feed).encode()).decode() for feed in (0.1, 0.2)]
+    stored = [page.session.store_upload("../mine.csv", upload) for upload in coded]
     assert {path.parents[1] for path in stored} == {app.output / "uploads"}
     page.schedule._take(stored[0], Schedule.read(stored[0]))
     assert page.session.points == {"inserted_length_m": [5.0], FEED: [0.1], AIR: [60.0]}
@@ -186,8 +175,8 @@ def test_uploads_of_equal_name_are_both_stored(app):
         page.session.store_upload("..", "")
 
 
-def test_a_dragged_flaw_stays_within_the_last_second(app):
-    flaw = Page(app).insertion.flaw
+def test_a_dragged_flaw_stays_within_the_last_second(page):
+    flaw = page.insertion.flaw
     flaw.flaw.data = {"time": [-0.3], "at": [2.0]}
     assert flaw.before.value == pytest.approx(0.3)
     assert flaw.flaw.data == {"time": [-0.3], "at": [0.0]}
@@ -197,20 +186,17 @@ def test_a_dragged_flaw_stays_within_the_last_second(app):
     assert flaw.flaw.data["at"] == [0.0]
 
 
-def test_design_comparison_equals_that_of_the_command(app, tmp_path):
-    page = Page(app)
+def test_design_comparison_equals_that_of_the_command(page, tmp_path):
     page.compare.open.value = str(tmp_path / "<script>alert(1)</script>")
     assert "<script>" not in page.compare.problem.text
     assert "&lt;script&gt;" in page.compare.problem.text
     page.compare.open.value = "results/design/confirmed"
     assert page.compare.problem.text == ""
-    for _, *texts in cells(summarise(read_comparison(Path("results/design/confirmed")))):
-        for text in texts:
-            assert f"<td>{text}</td>" in page.compare.content.text
+    rows = cells(summarise(read_comparison(Path("results/design/confirmed"))))
+    assert all(f"<td>{text}</td>" in page.compare.content.text for _, *texts in rows for text in texts)
 
 
-def test_a_log_and_a_schedule_are_read_in_another_process(app, tmp_path, monkeypatch):
-    page = Page(app)
+def test_a_log_and_a_schedule_are_read_in_another_process(page, tmp_path, monkeypatch):
     screen = page.schedule
     for path, text in {
         "rig.csv": "time;length [m];feed [m/s];air [m3/h]\n0;5,0;0,2;63\n1;5,2;0,2;63\n2;5,4;0,2;63\n",
@@ -219,7 +205,8 @@ def test_a_log_and_a_schedule_are_read_in_another_process(app, tmp_path, monkeyp
     }.items():
         (tmp_path / path).write_text(text, encoding="utf-8")
 
-    def wait():
+    def read(box, name):
+        box.value = str(tmp_path / name)
         assert "reading" in screen.problem.text
         for _ in range(600):
             if not screen._reading:
@@ -227,27 +214,22 @@ def test_a_log_and_a_schedule_are_read_in_another_process(app, tmp_path, monkeyp
             time.sleep(0.1)
             page.tick()
 
-    screen.log.value = str(tmp_path / "rig.csv")
-    wait()
+    read(screen.log, "rig.csv")
     assert screen.lines.data["name"] == ["constant", "log"]
     assert screen.lines.data["length"][1] == pytest.approx([5.0, 5.2, 5.4])
-    screen.open.value = str(tmp_path / "mine.csv")
-    wait()
+    read(screen.open, "mine.csv")
     assert page.session.points == {"inserted_length_m": [5.0, 25.0], FEED: [0.2, 0.15], AIR: [63.0, 100.0]}
     assert page.session.name == "mine"
-    screen.open.value = str(tmp_path / "bad.csv")
-    wait()
+    read(screen.open, "bad.csv")
     assert "bad.csv: column 'Vorschub [kg]': 'kg' is not a unit of feed_speed" in unescape(screen.problem.text)
     monkeypatch.setattr("probe_agents.app.screens.schedule.read_schedule", end_process)
-    screen.open.value = str(tmp_path / "rig.csv")
-    wait()
+    read(screen.open, "rig.csv")
     assert "the process that read the file was killed" in screen.problem.text
 
 
 @pytest.mark.parametrize("number", [0, 1])
-def test_saving_asks_before_it_replaces_a_file(app, tmp_path, number):
+def test_saving_asks_before_it_replaces_a_file(page, tmp_path, number):
     """A tube and a schedule; opening one saves nothing."""
-    page = Page(app)
     screen, name, folder = page.screens[number], ("b.toml", "b")[number], tmp_path / ("tubes", "schedules")[number]
     screen.open.value = ("example", "best-schedule")[number]
     assert not folder.exists()
@@ -273,8 +255,7 @@ def press(button):
     button._trigger_event(ButtonClick(button))
 
 
-def test_forged_values_are_refused_at_their_field(app, tmp_path):
-    page = Page(app)
+def test_forged_values_are_refused_at_their_field(page, tmp_path):
     for screen, field, value, message in (
         (page.insertion, "limit", 1e9, "tubes = 1000000000.0 is outside the accepted range 1 to 48"),
         (page.insertion, "policies", ["pi", "<b>"], "compare with = &#x27;&lt;b&gt;&#x27; is not offered; accepted: "),

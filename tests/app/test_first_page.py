@@ -8,10 +8,9 @@ import pytest
 
 from probe_agents.app.runs import Run, RunRequest
 from probe_agents.app.screens.page import Page
-from probe_agents.app.state import AppState
-from probe_agents.evaluation.folder import ReportSettings, read_evaluation
+from probe_agents.evaluation.folder import ReportSettings
 from probe_agents.evaluation.plan import Plan, run_plan
-from probe_agents.evaluation.report import first_page, write_report
+from probe_agents.evaluation.report import write_report
 from probe_agents.policies.fixed import Constant, Scheduled
 from probe_env import Context, TaskConfig
 from probe_env.envs.plants import Bundle
@@ -26,13 +25,6 @@ QUIET, LOUD = np.full(55, 5e-5), np.where(METRE > 35.0, 1.5e-4, 5e-5)
 SLOW, FAST = np.full(55, 0.2), np.where((METRE > 10.0) & (METRE < 20.0), 0.3, 0.2)
 
 
-class Idle:
-    """A queue without a worker."""
-
-    runs: tuple[()] = ()
-    changes = 0
-
-
 def store(folder, insertions, config=CONFIG, bundle=BUNDLE, policies=None, users=("mine",)):
     """Store an evaluation and its report; insertions (feed, vibration) of every tube, 275 s each."""
     schedule = Schedule("inserted_length", "linear", (5.0, 20.0, 60.0), (0.4, 0.2, 0.1), (0.02, 0.02, 0.03))
@@ -43,31 +35,21 @@ def store(folder, insertions, config=CONFIG, bundle=BUNDLE, policies=None, users
     def lines(plan, missing):
         for unit in missing:
             feed, vibration = insertions[unit[1]]
-            bad = (feed > 0.25) | (vibration > 1e-4)
             kpis = {
                 "reward": 1.0, "inspection_time_s": 275.0, "share_within_limit": float((vibration < 1e-4).mean()),
                 "inspected_share": 1.0, "radial_rms_m": 5e-5, "complete": 1.0, "lost_drive": 0.0, "diverged": 0.0,
             }  # fmt: skip
-            columns = {
-                "time": 5.0 * METRE,
-                "inserted_length": METRE,
-                "feed_speed": feed,
-                "air_supply_rate": 0.02 + 0.0 * METRE,
-                "radial_rms_m": vibration,
-                "tension_mean_n": 5.0 + 0.0 * METRE,
-                "noise_rms_m": 0.0 * METRE,
-            }
+            columns = {"time": 5.0 * METRE, "inserted_length": METRE, "feed_speed": feed, "radial_rms_m": vibration}
+            constants = {"air_supply_rate": 0.02, "tension_mean_n": 5.0, "noise_rms_m": 0.0}
             if config.instrument:
                 kpis |= {
                     "length_too_fast_m": float((feed > 0.25).sum()),
                     "speed_excess_m_per_s": float(max(feed.max() - 0.25, 0.0)),
-                    "length_to_repeat_m": float(bad.sum()),
+                    "length_to_repeat_m": float(((feed > 0.25) | (vibration > 1e-4)).sum()),
                 }
-                columns |= {
-                    "highest_feed": feed,
-                    "axial_velocity_rms": np.nan * METRE,
-                    "permitted_speed": 0.25 + 0.0 * METRE,
-                }
+                columns["highest_feed"] = feed
+                constants |= {"axial_velocity_rms": np.nan, "permitted_speed": 0.25}
+            columns |= {name: np.full(55, value) for name, value in constants.items()}
             profile = {name: values.tolist() for name, values in columns.items()}
             yield {"key": plan.key(unit), "episode": unit, "commit": "", "kpis": kpis, "profile": profile}
 
@@ -76,9 +58,9 @@ def store(folder, insertions, config=CONFIG, bundle=BUNDLE, policies=None, users
     return write_report(folder).read_text()
 
 
-def screen_of(folder, output):
+def screen_of(folder, app):
     """Text of the insertion screen when the run has finished."""
-    page = Page(AppState(Idle(), output))
+    page = Page(app)
     page.session.run = Run(RunRequest(policies=("mine",), output=folder), "running")
     page.insertion.refresh()
     assert page.insertion.verdict.text == ""
@@ -94,8 +76,8 @@ def texts(html):
 
 
 def front(report):
-    """The first page of a report."""
-    return re.search(r'<section class="first">.*?<section class="verdict">', report, re.DOTALL)[0]
+    """Texts of the first page of a report."""
+    return texts(re.search(r'<section class="first">.*?<section class="verdict">', report, re.DOTALL)[0])
 
 
 TOO_FAST = "not allowed: 10.0 m above 0.25 m/s (test_frequency), by up to 0.05 m/s; at 10.0 to 20.0 m"
@@ -115,9 +97,9 @@ STILL = "quiet: vibration within 0.1 mm in every metre"
         ((SLOW, QUIET), f"is {ALLOWED}. It is {STILL}.", "0.0 m", [], ("0", "0")),
     ],
 )  # fmt: skip
-def test_verdicts_of_the_first_page_and_the_app(insertion, verdict, length, rows, hours, tmp_path):
+def test_verdicts_of_the_first_page_and_the_app(insertion, verdict, length, rows, hours, tmp_path, app):
     """275 s of insertion, 100 s of setup and 225 s of withdrawal: 60 tubes take 10 h, and as long again if repeated."""
-    page = texts(front(store(tmp_path / "run", [insertion])))
+    page = front(store(tmp_path / "run", [insertion]))
     assert page[:3] == ["Your schedule", "mine", verdict]
     at = page.index(f"Metres to repeat: {length}")
     head = ["from [m]", "to [m]", "reason"]
@@ -132,7 +114,7 @@ def test_verdicts_of_the_first_page_and_the_app(insertion, verdict, length, rows
         "5", "0.400", "72", "20", "0.200", "72", "60", "0.100", "108",
     ]  # fmt: skip
 
-    screen = texts(screen_of(tmp_path / "run", tmp_path))
+    screen = texts(screen_of(tmp_path / "run", app))
     assert screen[:3] == ["mine", verdict, f"Metres to repeat: {length}"]
     assert screen[3:-1] == (head + rows if rows else [])
     assert screen[-1].startswith(f"Hours for 60 tubes: first passes [h]: 10; second pass [% of tubes]: {hours[0]}")
@@ -142,7 +124,7 @@ def test_verdicts_of_the_first_page_and_the_app(insertion, verdict, length, rows
 def test_list_over_several_tubes_has_fractions(tmp_path):
     """Two of four tubes are too loud from 35 m on, and one of these too fast from 10 to 20 m."""
     report = store(tmp_path / "run", [(SLOW, QUIET), (SLOW, LOUD), (FAST, LOUD), (SLOW, QUIET)])
-    page = texts(front(report))
+    page = front(report)
     assert page[2] == (
         "is not allowed: 2.5 m on average above 0.25 m/s (test_frequency), by up to 0.05 m/s; in some tube at 10.0 to"
         " 20.0 m. It is not quiet: vibration above 0.1 mm in 12.5 m on average; in some tube at 35.0 to 60.0 m."
@@ -154,22 +136,21 @@ def test_list_over_several_tubes_has_fractions(tmp_path):
     assert "; 15.0 m to repeat on average</li>" in report
 
 
-def test_without_instrument_and_bundle_their_parts_are_left_out(tmp_path):
+def test_without_instrument_and_bundle_their_parts_are_left_out(tmp_path, app):
     config = CONFIG.model_copy(update={"instrument": None})
     report = store(tmp_path / "run", [(FAST, LOUD)], config, None)
-    page = texts(front(report))
+    page = front(report)
     assert page[2] == "is not quiet: vibration within 0.1 mm in 54.5 % of the length."  # 30 of 55 m
     for text in ("repeat", "Hours", "nstrument"):
         assert text not in " ".join(page)
         assert f"{text}: the other" not in report
-    assert screen_of(tmp_path / "run", tmp_path) == ""
+    assert screen_of(tmp_path / "run", app) == ""
 
 
 def test_first_page_shows_the_best_policy_by_default(tmp_path):
     """A constant has no schedule file: its feed and air are as driven."""
-    page = texts(front(store(tmp_path / "run", [(SLOW, QUIET)], policies={"other": Constant(CONFIG)}, users=())))
+    page = front(store(tmp_path / "run", [(SLOW, QUIET)], policies={"other": Constant(CONFIG)}, users=()))
     assert page[:2] == ["The best policy,", "other"]
     assert page[2].startswith(", is allowed: ")
     rows = page[page.index("2 of 55 rows; as driven, mean over the insertions") :][4:]
     assert rows[:7] == ["5.5", "0.200", "72", "59.5", "0.200", "72", "Metres to repeat: 0.0 m"]
-    assert first_page(read_evaluation(tmp_path / "run")).policy == "other"

@@ -61,10 +61,17 @@ def wait_paused(run, until=lambda: True):
     wait_for(lambda: run.paused and until(), run)
 
 
-def test_a_run_equals_the_evaluation_of_the_command_bit_for_bit(queue, tube, tmp_path):
-    run = queue.add(request(tmp_path / "app", tube))
+def ended(queue, run, state="finished"):
+    """Wait for the end of a run, which may be added only now."""
+    run = queue.add(run) if isinstance(run, RunRequest) else run
     assert queue.wait(run, LONG)
-    assert (run.state, run.done, run.info.planned) == ("finished", 4, 4)
+    assert run.state == state
+    return run
+
+
+def test_a_run_equals_the_evaluation_of_the_command_bit_for_bit(queue, tube, tmp_path):
+    run = ended(queue, request(tmp_path / "app", tube))
+    assert (run.done, run.info.planned) == (4, 4)
     plan = plan_of(run.request.policies, read_case(tube, "test", 2), 1, "fast")
     table = evaluate_plan(plan, tmp_path / "command")
     stored = pd.read_parquet(tmp_path / "app" / "episodes.parquet")
@@ -98,8 +105,8 @@ def test_pause_step_and_slow_motion_change_nothing(queue, tube, tmp_path):
     assert shape.position.max() <= length + 1e-9
     assert shape.observation["inserted_length"] == pytest.approx(length, rel=1e-6)  # float32
     queue.send(run, Command("continue"))
-    assert queue.wait(run, LONG)
-    assert queue.wait(other, LONG)
+    ended(queue, run)
+    ended(queue, other)
     tables = [pd.read_parquet(folder / "episodes.parquet") for folder in (plain.output, watched.output)]
     pd.testing.assert_frame_equal(*tables, check_exact=True)
 
@@ -111,12 +118,10 @@ def test_a_stopped_run_is_resumed_by_its_stored_request(queue, tube, tmp_path):
     queue.send(run, Command("pause"))  # not lost, though the run has only begun
     wait_paused(run)
     queue.send(run, Command("stop"))
-    assert queue.wait(run, LONG)
-    assert run.state == "stopped"
+    ended(queue, run, "stopped")
     assert stored_run(whole.output).outcome == "interrupted: 0 of 4 insertions are stored"
     assert read_request(whole.output) == whole
-    run = queue.add(read_request(whole.output))
-    assert queue.wait(run, LONG)
+    ended(queue, read_request(whole.output))
     assert stored_run(whole.output).complete
     assert [entry.folder for entry in stored_runs(tmp_path)] == [whole.output]
 
@@ -128,12 +133,9 @@ def test_a_killed_worker_loses_no_finished_insertion(queue, tube, tmp_path):
     run = queue.add(killed, [Command("pace", (10.0,))])
     wait_for(lambda: episodes_of(killed.output).read(), run)
     os.kill(queue._process.pid, signal.SIGKILL)
-    assert queue.wait(run, LONG)
-    assert run.state == "failed"
+    ended(queue, run, "failed")
     assert "the worker process died (exit status -9): finished insertions are stored" in run.problem
-    run = queue.add(read_request(killed.output))
-    assert queue.wait(run, LONG)
-    assert run.state == "finished"
+    ended(queue, read_request(killed.output))
     lines = (killed.output / "episodes.jsonl").read_text().splitlines()
     assert len(lines) == 2  # nothing lost, nothing repeated
     plan = plan_of(killed.policies, read_case(tube, "test", 1), 1, "fast")
@@ -148,7 +150,7 @@ def test_a_manual_drive_is_a_policy_of_the_evaluation(queue, tube, tmp_path):
         queue.send(run, Command("setting", (feed, 0.02)))
         queue.send(run, Command("step"))
     queue.send(run, Command("continue"))
-    assert queue.wait(run, LONG)
+    ended(queue, run)
     feed = run.trace((MANUAL, 0, 0))["target_feed_speed"]
     assert feed[:3] == pytest.approx([0.1, 0.3, 0.3], rel=1e-6)  # float32 actions
     table = pd.read_parquet(manual.output / "episodes.parquet")
@@ -166,10 +168,7 @@ def test_invalid_requests_fail_with_the_message_of_the_command(queue, tube, tmp_
         ({"fidelity": "quick"}, "fidelity = 'quick' is not one of"),
         ({"tube": "nowhere.toml"}, "no such file: nowhere.toml"),
     ):
-        run = queue.add(request(tmp_path / "refused", tube, **changes))
-        assert queue.wait(run, LONG)
-        assert run.state == "failed"
-        assert message in run.problem
+        assert message in ended(queue, request(tmp_path / "refused", tube, **changes), "failed").problem
         assert not (tmp_path / "refused").exists()
 
 
@@ -185,20 +184,18 @@ def test_folders_are_numbered_and_never_used_twice(tmp_path):
 
 def still(feed=0.2, seconds=1.0):
     """A probe that does not vibrate."""
-    none, count = np.zeros(0), round(seconds / 1e-3)
+    count = round(seconds / 1e-3)
     time = 1e-3 * (np.arange(count) + 1 - count)
     tube = {"sensor": 0, "bore": 0.0242, "helix_length": 60.0}
     signal = {"signal_time": time, "signal_radial": np.zeros(count), "spectrum": np.zeros(len(FREQUENCY))}
-    floats = dict.fromkeys(("position", "axial", "radial", "tension", "lever", "outer_gap"), none)
+    floats = dict.fromkeys(("position", "axial", "radial", "tension", "lever", "outer_gap"), np.zeros(0))
     return ProbeShape(**floats, **tube, **signal, feed_speed=feed, observation={})
 
 
 def test_snr_of_a_groove_without_vibration():
     """7.5 at 0.2 m/s, in proportion to the depth, and to the root of the time at the flaw."""
-    sensor = Sensor()
-    assert flaw_signal(sensor, still(), 0.5, GROOVE).snr == pytest.approx(7.5, rel=2e-3)
-    assert flaw_signal(sensor, still(), 0.5, 2.0 * GROOVE).snr == pytest.approx(15.0, rel=2e-3)
-    assert flaw_signal(sensor, still(feed=0.1), 0.5, GROOVE).snr == pytest.approx(7.5 * 2.0**0.5, rel=2e-3)
+    for feed, depth, snr in ((0.2, GROOVE, 7.5), (0.2, 2.0 * GROOVE, 15.0), (0.1, GROOVE, 7.5 * 2.0**0.5)):
+        assert flaw_signal(Sensor(), still(feed), 0.5, depth).snr == pytest.approx(snr, rel=2e-3)
 
 
 def test_the_filtered_signal_of_a_flaw_is_as_high_as_its_ratio():
@@ -210,5 +207,5 @@ def test_the_filtered_signal_of_a_flaw_is_as_high_as_its_ratio():
         assert signal.filtered > signal.threshold == threshold(Sensor(), 60.0)
         shallow = flaw_signal(Sensor(), still(), before, 0.01)
         assert shallow.filtered < shallow.threshold
-    assert flaw_signal(Sensor(), still(feed=0.0), 0.5, GROOVE) is None
-    assert flaw_signal(Sensor(), still(seconds=0.05), 0.5, GROOVE) is None
+    for shape in (still(feed=0.0), still(seconds=0.05)):
+        assert flaw_signal(Sensor(), shape, 0.5, GROOVE) is None

@@ -7,6 +7,7 @@ import signal
 import socket
 import threading
 import weakref
+from itertools import product
 from types import SimpleNamespace
 
 import pytest
@@ -15,7 +16,6 @@ from tornado.websocket import websocket_connect
 
 from probe_agents.app.screens.page import Page
 from probe_agents.app.server import make_server
-from probe_agents.app.state import AppState
 from probe_agents.cli import main
 
 TOKEN = "secret"
@@ -24,17 +24,24 @@ PATHS = ("/", "/report/?folder=.", "/autoload.js?bokeh-autoload-element=1", "/me
 
 
 @pytest.fixture
-def app(tmp_path):
-    return AppState(SimpleNamespace(runs=(), changes=0), tmp_path)  # a queue without a worker
+def made(app):
+    """A function that makes a server, which other origins may name."""
+    servers = []
+
+    def make(*origins):
+        asyncio.set_event_loop(asyncio.new_event_loop())  # Python 3.12 and later warn where none was made
+        servers.append(make_server(app, None, 0, TOKEN, *origins))
+        return servers[-1]
+
+    yield make
+    for server in servers:
+        server.stop()
+        server.io_loop.close()
 
 
 @pytest.fixture
-def server(app):
-    asyncio.set_event_loop(asyncio.new_event_loop())  # Python 3.12 and later warn where none was made
-    server = make_server(app, None, 0, TOKEN)
-    yield server
-    server.stop()
-    server.io_loop.close()
+def server(made):
+    return made()
 
 
 @pytest.fixture
@@ -92,22 +99,16 @@ def test_printed_address_sets_the_cookie_of_the_page(server, get):
         ({"Cookie": cookie, "Origin": "null"}, 403),  # a sandboxed report
         ({"Cookie": cookie, "Origin": "http://localhost:1"}, 403),
     ):
-        headers["Host"] = f"localhost:{server.port}"
-        assert server.io_loop.run_sync(lambda headers=headers: connect(server, headers)) == code
+        assert connect(server, headers | {"Host": f"localhost:{server.port}"}) == code
 
 
-def test_named_origin_is_accepted(app):
+def test_named_origin_is_accepted(made):
     """The other end of an SSH tunnel, or a proxy."""
-    asyncio.set_event_loop(asyncio.new_event_loop())
-    server = make_server(app, None, 0, TOKEN, "named.example:8080")
+    server = made("named.example:8080")
     server.start()
-    try:
-        for host, code in (("named.example:8080", 101), ("other.example:8080", 403)):
-            headers = {"Host": host, "Origin": f"http://{host}", "Cookie": f"probe-env-{server.port}={TOKEN}"}
-            assert server.io_loop.run_sync(lambda headers=headers: connect(server, headers)) == code
-    finally:
-        server.stop()
-        server.io_loop.close()
+    for host, code in (("named.example:8080", 101), ("other.example:8080", 403)):
+        headers = {"Host": host, "Origin": f"http://{host}", "Cookie": f"probe-env-{server.port}={TOKEN}"}
+        assert connect(server, headers) == code
 
 
 def test_a_port_that_is_taken_is_named(app, tmp_path, refused):
@@ -116,30 +117,25 @@ def test_a_port_that_is_taken_is_named(app, tmp_path, refused):
         refused(["app", "--port", port, "--no-show"], f"port {port} is taken: --port for another, --port 0 for any")
 
 
-async def connect(server, headers):
+def connect(server, headers):
     """Status of the handshake of a websocket."""
+    request = HTTPRequest(f"ws://127.0.0.1:{server.port}/ws", headers=headers)
     try:
-        socket = await websocket_connect(HTTPRequest(f"ws://127.0.0.1:{server.port}/ws", headers=headers))
+        server.io_loop.run_sync(lambda: websocket_connect(request)).close()
     except HTTPClientError as error:
         return error.code
-    socket.close()
     return 101
 
 
-@pytest.mark.parametrize(
-    "header",
-    [
-        ("Origin", "http://evil.example"),
-        ("Origin", "null"),
-        ("Origin", "http://localhost:1"),
-        ("Sec-Fetch-Site", "cross-site"),
-        ("Sec-Fetch-Site", "same-site"),  # another port of this machine
-        ("Host", "evil.example"),  # DNS rebinding
-    ],
-)
-def test_other_sites_are_refused_even_with_the_cookie(server, get, header):
-    for path in (*PATHS, f"/login?token={TOKEN}"):
-        assert get(path, **dict([header])).code == 403
+def test_other_sites_are_refused_even_with_the_cookie(server, get):
+    """Another port of this machine is one of the same site; a foreign host is that of DNS rebinding."""
+    for header, values in (
+        ("Origin", ("http://evil.example", "null", "http://localhost:1")),
+        ("Sec-Fetch-Site", ("cross-site", "same-site")),
+        ("Host", ("evil.example",)),
+    ):
+        for value, path in product(values, (*PATHS, f"/login?token={TOKEN}")):
+            assert get(path, **{header: value}).code == 403, (header, value)
     assert server.get_sessions("/") == []
 
 
@@ -170,8 +166,7 @@ def test_a_signal_ends_the_idle_server_which_prints_nothing(number, tmp_path, mo
     closed = []
     queue = SimpleNamespace(runs=(), changes=0, close=lambda: closed.append(True))
     monkeypatch.setattr("probe_agents.app.server.RunQueue", lambda: queue)
-    kill = threading.Timer(0.3, os.kill, (os.getpid(), number))
-    monkeypatch.setattr("webbrowser.open", lambda _: kill.start())
+    monkeypatch.setattr("webbrowser.open", lambda _: threading.Timer(0.3, os.kill, (os.getpid(), number)).start())
     loop = asyncio.new_event_loop()
     asyncio.set_event_loop(loop)
     assert main(["app", "--port", "0", "--output", str(tmp_path)]) == 0

@@ -27,18 +27,9 @@ class App:
         self.start()
 
     def start(self) -> None:
-        command = [
-            sys.executable,
-            "-m",
-            "probe_agents.cli",
-            "app",
-            "--port",
-            "0",
-            "--no-show",
-            "--output",
-            str(self.output),
-        ]
-        command += [] if self.tube is None else ["--tube", str(self.tube)]
+        options = ["--port", "0", "--no-show", "--output", str(self.output)]
+        options += [] if self.tube is None else ["--tube", str(self.tube)]
+        command = [sys.executable, "-m", "probe_agents.cli", "app", *options]
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=self.folder)
         line = self.process.stdout.readline()
         self.printed = re.search(r"http://localhost:\d+/\S+", line)[0]

@@ -76,6 +76,12 @@ def drag(page, x, y, dx, dy):
     page.mouse.move(x + dx, y + dy, steps=4)
 
 
+def opened_report(page):
+    with page.context.expect_page() as report:
+        page.get_by_role("link", name="open the report").click()
+    return report.value
+
+
 def position(page, *names):
     """Position of the first point of a chart in the window, once the layout has settled."""
     last = None
@@ -144,9 +150,7 @@ def test_a_run_pauses_steps_continues_and_equals_the_command(page, app, tmp_path
     row = " ".join(report.locator(".ranking tr", has=page.locator("th", has_text="my-schedule")).all_inner_texts())
     for kpi, (_, factor, _) in kpis_of(table.columns).items():
         assert short(table.loc["my-schedule", kpi].mean() * factor) in row
-    with page.context.expect_page() as opened_report:
-        page.get_by_role("link", name="open the report").click()
-    assert opened_report.value.get_by_role("heading", name="Feed policies compared").is_visible()
+    assert opened_report(page).get_by_role("heading", name="Feed policies compared").is_visible()
 
 
 def test_a_dragged_flaw_moves_in_x_and_y(page):
@@ -156,10 +160,9 @@ def test_a_dragged_flaw_moves_in_x_and_y(page):
     signals = "() => Array.from(Bokeh.documents[0].get_model_by_name('signals').data.x)"
     loop = "() => Array.from(Bokeh.documents[0].get_model_by_name('loop').data.x).length"
     x_y, before = position(page, "strip", "flaw", "time", "at"), page.evaluate(signals)
-    moved = "() => Bokeh.documents[0].get_model_by_name('flaw-before').value < 0.49"
     drag(page, *x_y, 40, 10)
     page.mouse.up()
-    page.wait_for_function(moved)
+    page.wait_for_function("() => Bokeh.documents[0].get_model_by_name('flaw-before').value < 0.49")
     changed = "(old) => Bokeh.documents[0].get_model_by_name('signals').data.x.some((value, k) => value != old[k])"
     page.wait_for_function(changed, arg=before)
     after = page.evaluate(signals)
@@ -190,24 +193,25 @@ def test_runs_are_listed_and_resumed_after_a_killed_server(browser, tube, tmp_pa
             runs.filter(has_text="002-my-schedule").filter(has_text="6 of 6 complete").wait_for()
 
 
+def downloaded(page):
+    """Name and text of the file that the button of the screen gives."""
+    with page.expect_download() as download:
+        page.get_by_role("button", name="download").locator("visible=true").click()
+    return download.value.suggested_filename, Path(download.value.path()).read_text()
+
+
 def test_files_of_the_computer_are_opened_and_downloaded(page, tmp_path):
     text = "# interpolation: steps\ninserted_length_m,feed_speed_m_per_s,air_supply_m3_per_h\n5.0,0.125,75.0\n"
     (tmp_path / "chosen.csv").write_text(text)
     page.locator("input[accept='.csv,.toml,.xlsx']").set_input_files(tmp_path / "chosen.csv")
     page.wait_for_function(f"Bokeh.documents[0].get_model_by_name('points').data.{FEED}[0] == 0.125")
-    with page.expect_download() as download:
-        page.get_by_role("button", name="download").locator("visible=true").click()
-    assert download.value.suggested_filename == "chosen.csv"
-    assert Path(download.value.path()).read_text() == text
+    assert downloaded(page) == ("chosen.csv", text)
     screen(page, 1)
     (tmp_path / "plant.toml").write_text("[tube]\ninner_diameter = 0.0231\nhelix_length = 7.0\n")
     page.locator("input[accept='.toml']").set_input_files(tmp_path / "plant.toml")
     page.get_by_text("uploads/").first.wait_for()
     assert page.get_by_label("inner diameter [mm]", exact=True).input_value() == "23.1"
-    with page.expect_download() as download:
-        page.get_by_role("button", name="download").locator("visible=true").click()
-    assert download.value.suggested_filename == "plant.toml"
-    assert Path(download.value.path()).read_text() == (tmp_path / "plant.toml").read_text()
+    assert downloaded(page) == ("plant.toml", (tmp_path / "plant.toml").read_text())
 
 
 def test_two_browsers_share_runs_but_not_schedules(browser, app):
@@ -284,7 +288,6 @@ def test_scripts_of_a_report_have_another_origin(page, tmp_path):
     screen(page, 4)
     fill(page, "open an evaluation folder", str(tmp_path))
     page.frame_locator("iframe").get_by_text("foreign").wait_for()
-    with page.context.expect_page() as report:
-        page.get_by_role("link", name="open the report").click()
-    report.value.get_by_text("foreign").wait_for()
-    assert report.value.title() == "null"
+    report = opened_report(page)
+    report.get_by_text("foreign").wait_for()
+    assert report.title() == "null"

@@ -10,6 +10,7 @@ import pytest
 from plans import CONFIG, make_plan
 
 from probe_agents.evaluation import evaluate
+from probe_agents.evaluation.folder import read_evaluation
 from probe_agents.evaluation.kpis import PROFILE_COLUMNS
 from probe_agents.evaluation.plan import Plan, RolloutRunner, core_seconds, per_metre, run_plan
 from probe_agents.evaluation.run import evaluate_plan, plan_of
@@ -28,12 +29,16 @@ def same(one, other):
     pd.testing.assert_frame_equal(one, other, check_exact=True)
 
 
+def halves(table):
+    return [table[table["policy"] == name].reset_index() for name in ("feed 0", "feed 1")]
+
+
 def test_table_has_every_episode_paired_by_seed(evaluated):
     table = pd.read_parquet(evaluated / "episodes.parquet")
     assert len(table) == 2 * 3 * 2
-    first, second = (table[table["policy"] == name].reset_index() for name in ("feed 0", "feed 1"))
-    for column in ("context", "seed", "friction", "helix_diameter", "drag_factor"):
-        assert (first[column] == second[column]).all()
+    first, second = halves(table)
+    paired = ["context", "seed", "friction", "helix_diameter", "drag_factor"]
+    assert (first[paired] == second[paired]).all(axis=None)
     assert (first["reward"] != second["reward"]).all()
     assert pd.read_csv(evaluated / "episodes.csv")["reward"].to_numpy() == pytest.approx(table["reward"], rel=1e-6)
     profile = pd.read_parquet(evaluated / "profile.parquet")
@@ -76,12 +81,9 @@ def test_folder_of_other_settings_is_refused(stored, monkeypatch):
     monkeypatch.setattr("probe_agents.evaluation.plan.Episodes", None)  # simulating anything would fail
     table, before = pd.read_parquet(stored / "episodes.parquet"), {path: path.read_bytes() for path in stored.iterdir()}
     limit = CONFIG.model_copy(update={"time_limit": 0.5})
-    for plan, name in (
-        (make_plan(config=limit), r"task\.time_limit 0\.3, now 0\.5"),
-        (make_plan(probes="random"), "probes"),
-    ):
+    for changes, name in (({"config": limit}, r"task\.time_limit 0\.3, now 0\.5"), ({"probes": "random"}, "probes")):
         with pytest.raises(ValueError, match=rf"these episodes were simulated with other settings \({name}"):
-            run_plan(plan, stored, progress=False)
+            run_plan(make_plan(**changes), stored, progress=False)
     assert {path: path.read_bytes() for path in stored.iterdir()} == before
     same(run_plan(make_plan(config=CONFIG.full_observation), stored, progress=False), table)
 
@@ -97,20 +99,27 @@ def test_another_map_of_the_surrogate_is_another_setting(tmp_path):
 
 def test_random_probes_are_the_same_for_all_policies(evaluated, tmp_path):
     table = run_plan(make_plan(probes="random"), tmp_path, progress=False)
-    first, second = (table[table["policy"] == name].reset_index() for name in ("feed 0", "feed 1"))
+    first, second = halves(table)
     assert (first[list(RANGES)] == second[list(RANGES)]).all(axis=None)
     assert first["line_density"].nunique() == 6  # a probe for each context and seed
     assert (table["radial_rms_m"] != pd.read_parquet(evaluated / "episodes.parquet")["radial_rms_m"]).all()
 
 
 def test_a_changed_policy_is_played_again_under_its_name(stored):
+    """Nothing in the tables says that they are of another: they do not count when it is killed before its first."""
     before = pd.read_parquet(stored / "episodes.parquet")
     changed = make_plan()
-    changed.policies["feed 0"] = Constant(CONFIG, feed_speed=0.35)
+    changed.policies["feed 1"] = Constant(CONFIG, feed_speed=0.35)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("probe_agents.evaluation.plan._records", lambda *_: iter(()))
+        with pytest.raises(KeyError):
+            run_plan(changed, stored, progress=False)
+    done = read_evaluation(stored)
+    assert set(done.table["policy"]) == {"feed 0"}
+    assert done.missing.gaps == (("feed 1", "6 of 6 insertions"),)
     after = run_plan(changed, stored, progress=False)
-    first = [frame[frame["policy"] == "feed 0"]["reward"].to_numpy() for frame in (before, after)]
-    assert (first[0] != first[1]).all()
-    same(*(frame[frame["policy"] == "feed 1"] for frame in (before, after)))
+    same(*(frame[frame["policy"] == "feed 0"] for frame in (before, after)))
+    assert (before["reward"] != after["reward"])[before["policy"] == "feed 1"].all()
 
 
 def test_evaluate_gives_the_table_with_and_without_a_folder(tmp_path):
@@ -129,16 +138,16 @@ def test_evaluate_gives_the_table_with_and_without_a_folder(tmp_path):
 
 
 def test_bad_arguments_are_named_and_nothing_is_written(tmp_path):
-    def run(specs, contexts, limit, seeds, against=None):
-        evaluate_plan(plan_of(specs, load_case(None, contexts, limit), seeds, "fast"), tmp_path / "out", against)
+    def run(specs, limit, seeds, against=None):
+        evaluate_plan(plan_of(specs, load_case(None, "validation", limit), seeds, "fast"), tmp_path / "out", against)
 
     for arguments, message in (
-        ((["constant"], "validation", 99, 1), "limit = 99"),
-        ((["constant"], "validation", 0, 0), "seeds = 0"),
-        (([], "validation", 0, 1), "at least one is needed"),
-        ((["pi", "pi"], "validation", 0, 1), "names must differ"),
-        ((["fastest"], "validation", 0, 1), "unknown policy 'fastest'"),
-        ((["pi"], "validation", 1, 1, "slow"), "against = 'slow' is not one of the policies: pi"),
+        ((["constant"], 99, 1), "limit = 99"),
+        ((["constant"], 0, 0), "seeds = 0"),
+        (([], 0, 1), "at least one is needed"),
+        ((["pi", "pi"], 0, 1), "names must differ"),
+        ((["fastest"], 0, 1), "unknown policy 'fastest'"),
+        ((["pi"], 1, 1, "slow"), "against = 'slow' is not one of the policies: pi"),
     ):
         with pytest.raises(ValueError, match=message):
             run(*arguments)
@@ -157,10 +166,6 @@ def test_estimated_time_scales_with_fidelity_and_planner():
 
 
 def test_a_time_of_more_than_a_minute_is_announced():
-    def text(seconds, stored=2):
-        return Work("episode", 62, lambda: stored, "out", seconds=seconds).remaining_text()
-
-    assert text(0.9) == "60 of 62 episodes to do, stored in out one by one"
-    assert text(3.0) == "60 of 62 episodes to do, about 3 min, stored in out one by one"
-    assert text(180.0) == "60 of 62 episodes to do, about 3 h, stored in out one by one"
-    assert text(180.0, 62) == ""
+    for seconds, about in ((0.9, ""), (3.0, " about 3 min,"), (180.0, " about 3 h,")):
+        for stored, text in ((2, f"60 of 62 episodes to do,{about} stored in out one by one"), (62, "")):
+            assert Work("episode", 62, lambda n=stored: n, "out", seconds=seconds).remaining_text() == text

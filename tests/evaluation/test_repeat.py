@@ -1,6 +1,5 @@
 """Verdicts on the speed and metres to repeat: cases worked by hand, and the pass that repeats them."""
 
-from dataclasses import replace
 from urllib.parse import unquote
 
 import numpy as np
@@ -26,7 +25,7 @@ from probe_agents.evaluation.repeat import (
     verdict_of,
     verdict_text,
 )
-from probe_agents.evaluation.report import first_page, other_verdicts
+from probe_agents.evaluation.report import other_verdicts
 from probe_agents.evaluation.run import evaluate_plan, plan_of
 from probe_agents.policies.cases import read_case
 from probe_agents.policies.fixed import Scheduled
@@ -50,6 +49,11 @@ def insertion(feed=0.2, vibration=5e-5, last=END, **columns):
     }
 
 
+def above(place, value, other):
+    """A value beyond a place [m], and another before."""
+    return lambda metre: np.where(metre > place, value, other)
+
+
 def judged(metres, config=CONFIG, **ended):
     """Verdict and intervals."""
     segments = segments_of(metres, config, **ended)
@@ -66,8 +70,7 @@ def test_too_fast_too_loud_and_good():
     assert verdict_text(verdict) == (
         "not allowed: 10.0 m above 0.25 m/s (test_frequency), by up to 0.05 m/s; at 10.0 to 20.0 m"
     )
-    loud = insertion(vibration=lambda metre: np.where(metre > 35.0, 1.5e-4, 5e-5))
-    verdict, intervals = judged(loud)
+    verdict, intervals = judged(insertion(vibration=above(35.0, 1.5e-4, 5e-5)))
     assert (verdict.allowed, verdict.length, verdict.excess, verdict.repeat) == (True, 0.0, 0.0, 25.0)
     assert intervals == [(35.0, 60.0, "noise")]
     verdict, intervals = judged(insertion(feed=0.25))
@@ -77,19 +80,12 @@ def test_too_fast_too_loud_and_good():
     assert (verdict.allowed, verdict_text(verdict)) == (True, "no speed limit of the instrument is set")
 
 
-def test_both_reasons_are_named_where_both_apply():
-    metres = insertion(
-        feed=lambda metre: np.where(metre < 40.0, 0.4, 0.2), vibration=lambda metre: np.where(metre > 35.0, 2e-4, 0.0)
-    )
-    assert judged(metres)[1] == [(5.0, 35.0, "speed"), (35.0, 40.0, "speed and noise"), (40.0, 60.0, "noise")]
-
-
-def test_lost_drive_and_what_was_not_reached():
+def test_reasons_are_named_where_they_apply():
     """Drive is lost in metre 41 to 42, extended to 2 m; samples are missing from there to the end of the helix."""
-    _, intervals = judged(insertion(last=42.0), complete=False, lost_drive=True)
-    assert intervals == [
-        (40.5, 41.0, "lost drive"), (41.0, 42.5, "lost drive and samples"), (42.5, 60.0, "samples")
-    ]  # fmt: skip
+    metres = insertion(feed=above(40.0, 0.2, 0.4), vibration=above(35.0, 2e-4, 0.0))
+    assert judged(metres)[1] == [(5.0, 35.0, "speed"), (35.0, 40.0, "speed and noise"), (40.0, 60.0, "noise")]
+    lost, both = (40.5, 41.0, "lost drive"), (41.0, 42.5, "lost drive and samples")
+    assert judged(insertion(last=42.0), complete=False, lost_drive=True)[1] == [lost, both, (42.5, 60.0, "samples")]
     slack = insertion(tension_mean_n=lambda metre: np.where((metre < 12.0) | (metre > 50.0), 0.5, 5.0))
     assert judged(slack)[1] == [(50.0, 60.0, "lost drive")]  # it is not scored in the first 15 m
     assert judged(insertion(last=5.0), complete=False)[1] == [(5.0, 60.0, "samples")]
@@ -103,10 +99,7 @@ def test_short_intervals_are_extended_and_short_gaps_closed():
     assert judged(metres)[1] == [(*interval, "noise") for interval in expected]
     exact = CONFIG.model_copy(update={"instrument": {"repeat_length": 0.5}})
     assert judged(metres, exact)[1] == [(metre - 0.5, metre + 0.5, "noise") for metre in bad]
-
-
-def test_metres_that_one_period_passes_count_like_its_own():
-    """At 2 m/s and a period of 1 s every second metre has no row."""
+    # at 2 m/s and a period of 1 s every second metre has no row
     verdict, intervals = judged({name: values[::2] for name, values in insertion(feed=2.0).items()})
     assert (verdict.length, intervals) == (55.0, [(5.0, 60.0, "speed")])
 
@@ -114,29 +107,24 @@ def test_metres_that_one_period_passes_count_like_its_own():
 def test_noise_is_compared_in_the_measure_of_the_task():
     snr = CONFIG.model_copy(update={"vibration_measure": "snr"})
     limit = float(snr.sensor.equivalent_rms(np.array(1.0 / 3.0)))
-    metres = insertion(vibration=1.0, noise_rms_m=lambda metre: np.where(metre > 35.0, 1.01, 0.99) * limit)
+    metres = insertion(vibration=1.0, noise_rms_m=above(35.0, 1.01 * limit, 0.99 * limit))
     assert judged(metres, snr)[1] == [(35.0, 60.0, "noise")]
     assert judged(metres, CONFIG.model_copy(update={"vibration_measure": "velocity"}))[1] == []
 
 
 def test_axial_vibration_is_reported_beside_the_feed():
     """0.2 m/s and 0.06 m/s rms are above 0.25 m/s, from 40 m on; the list of metres is by the feed alone."""
-    metres = insertion(axial_velocity_rms=lambda metre: np.where(metre > 40.0, 0.06, 0.04))
-    verdict, intervals = judged(metres)
+    verdict, intervals = judged(insertion(axial_velocity_rms=above(40.0, 0.06, 0.04)))
     assert (verdict.allowed, verdict.sensor_length, intervals) == (True, 20.0, [])
     assert verdict_text(verdict).endswith("everywhere; with its axial vibration (rms) the sensor is above it in 20.0 m")
 
 
 def test_withdrawals_and_constant_lengths_are_not_judged():
-    both = {"passes": "both", "time_limit": 1e3}
-    changes = (
-        {},
-        {"growing": False},
-        both | {"scored_pass": "withdrawal"},
-        both | {"scored_pass": "best"},
-        {"instrument": None},
-    )
-    assert [is_judged(CONFIG.model_copy(update=change)) for change in changes] == [True, False, False, True, False]
+    changes = {}, {"growing": False}, {"instrument": None}
+    assert [is_judged(CONFIG.model_copy(update=change)) for change in changes] == [True, False, False]
+    for scored, judges in (("withdrawal", False), ("best", True)):
+        both = {"passes": "both", "time_limit": 1e3, "scored_pass": scored}
+        assert is_judged(CONFIG.model_copy(update=both)) == judges
 
 
 def test_a_sentence_names_eight_intervals_at_most():
@@ -149,17 +137,18 @@ def test_a_sentence_names_eight_intervals_at_most():
 
 def test_an_overview_has_few_rows():
     """Exact as long as it fits; ten intervals in 2 m become a bin of 5 m; one every 10 m, bins of 20 m, joined."""
-    columns = [*INTERVAL, "share"]
-    lists = [pd.DataFrame(rows, columns=INTERVAL) for rows in ([(6.0, 10.0, "noise"), (10.0, 12.0, "speed")], [])]
-    rows = [(6.0, 10.0, "noise", 0.5), (10.0, 12.0, "speed", 0.5)]
-    pd.testing.assert_frame_equal(repeat_overview(lists, 60.0), pd.DataFrame(rows, columns=columns))
-    assert repeat_overview(lists[1:], 60.0).empty
+    two = [(6.0, 10.0, "noise"), (10.0, 12.0, "speed")]
     near = [(6.0 + 0.2 * k, 6.1 + 0.2 * k, "noise") for k in range(10)]
-    bins = repeat_overview([pd.DataFrame(near, columns=INTERVAL)], 60.0)
-    assert bins.to_numpy().tolist() == [[5.0, 10.0, "noise", 1.0]]
     far = [(10.0 * k + 1.0, 10.0 * k + 2.0, "noise" if k % 2 else "speed") for k in range(10)]
-    bins = repeat_overview([pd.DataFrame(far, columns=INTERVAL)], 97.0)
-    assert bins.to_numpy().tolist() == [[0.0, 97.0, "speed and noise", 1.0]]
+    for lists, end, expected in (
+        ((two, []), 60.0, [[6.0, 10.0, "noise", 0.5], [10.0, 12.0, "speed", 0.5]]),
+        (([],), 60.0, []),
+        ((near,), 60.0, [[5.0, 10.0, "noise", 1.0]]),
+        ((far,), 97.0, [[0.0, 97.0, "speed and noise", 1.0]]),
+    ):
+        overview = repeat_overview([pd.DataFrame(rows, columns=INTERVAL) for rows in lists], end)
+        assert list(overview) == [*INTERVAL, "share"]
+        assert overview.to_numpy().tolist() == expected
 
 
 def test_shares_of_the_insertions():
@@ -200,27 +189,22 @@ def test_repeated_pass_is_slow_only_where_it_inspects():
 def test_a_repeated_pass_is_quiet_where_it_was_loud():
     """By the map: the fastest of its feeds whose mean, raised by the scatter, is below the limit."""
     context, vibration = Context(friction=0.2, helix_diameter=1.2), stored_map()
-    metres = insertion(feed=0.25, vibration=lambda metre: np.where(metre > 40.0, 1.01e-4, 5e-5))
+    metres = insertion(feed=0.25, vibration=above(40.0, 1.01e-4, 5e-5))
     schedule = scheduled(metres, CONFIG, context)
-    tube = np.array([[getattr(context, name) for name in CONTEXT]])
-    grid = np.geomspace(0.04, 0.25, 2000)
-
-    def expected(feed, length):
-        ones = np.ones(len(feed))
-        return vibration.predict(length * ones, feed, 0.02 * ones, tube * ones[:, None], CONFIG.scene)
-
+    grid, ones = np.geomspace(0.04, 0.25, 2000), np.ones(2000)
+    tube = [getattr(context, name) for name in CONTEXT] * ones[:, None]
     for length in (42.5, 50.5):
         feed = float(schedule.at(length)[0])
-        mean, deviation = expected(grid, length)
+        mean, deviation = vibration.predict(length * ones, grid, 0.02 * ones, tube, CONFIG.scene)
         quiet = grid[mean + deviation <= 0.0].max()
         assert 0.04 < feed <= quiet < 0.25
         assert feed > 0.95 * quiet  # a step of 40 from 0.04 to 0.25 m/s is 4.8 %
     quiet = float(schedule.at(40.5)[0])
     for start in np.arange(36.0, 36.4, 0.02):  # vibration takes 2 s to decay
         assert driven(schedule, CONFIG, 40.0 - 1.9 * quiet, 40.5, start) <= quiet * (1.0 + 1e-6)
-    segments = segments_of(metres | {"radial_rms_m": 2.0 * metres["radial_rms_m"]}, CONFIG)
-    before = quiet_feeds(segments_of(metres, CONFIG), context, CONFIG, vibration)
-    assert (quiet_feeds(segments, context, CONFIG, vibration)[40:] <= before[40:]).all()
+    louder = metres | {"radial_rms_m": 2.0 * metres["radial_rms_m"]}
+    slower, before = (quiet_feeds(segments_of(m, CONFIG), context, CONFIG, vibration) for m in (louder, metres))
+    assert (slower[40:] <= before[40:]).all()
 
 
 def test_repeated_pass_has_max_air_after_lost_drive():
@@ -229,15 +213,9 @@ def test_repeated_pass_has_max_air_after_lost_drive():
     assert schedule.at([30.0, 40.6, 59.0])[1] == pytest.approx([0.02, maximum, maximum])
 
 
-@pytest.fixture
-def tube(tmp_path):
-    path = tmp_path / "tube.toml"
-    path.write_text("[tube]\nhelix_diameter = 1.2\nhelix_length = 30.0\n[instrument]\ntest_frequency = 100.0\n")
-    return path
-
-
-def test_evaluate_applies_the_permitted_speed(tube, tmp_path, capsys):
-    file, folder = tmp_path / "mine.csv", tmp_path / "out"
+def test_evaluate_applies_the_permitted_speed(tmp_path, capsys):
+    tube, file, folder = tmp_path / "tube.toml", tmp_path / "mine.csv", tmp_path / "out"
+    tube.write_text("[tube]\nhelix_diameter = 1.2\nhelix_length = 30.0\n[instrument]\ntest_frequency = 100.0\n")
     head = "# interpolation: steps\ninserted_length_m,feed_speed_m_per_s,air_supply_m3_per_h\n"
     file.write_text(f"{head}5,0.2,63\n10,0.4,63\n20,0.2,63\n")
     options = ["--tube", str(tube), "--limit", "2", "--fidelity", "surrogate", "--output"]
@@ -250,8 +228,7 @@ def test_evaluate_applies_the_permitted_speed(tube, tmp_path, capsys):
     assert (done.profile["permitted_speed"] == 0.25).all()
     kpis = table[["length_too_fast_m", "speed_excess_m_per_s"]].max()
     assert kpis.loc["slow-down"].tolist() == [0.0, 0.0]
-    # a period of 1 s may end up to 0.4 m behind 20 m
-    assert kpis.loc["mine"].tolist() == pytest.approx([11.0, 0.15])
+    assert kpis.loc["mine"].tolist() == pytest.approx([11.0, 0.15])  # a period of 1 s may end 0.4 m behind 20 m
     listed = pd.read_csv(folder / "repeat.csv")
     speed = listed[listed["reason"].str.contains("speed")]
     assert speed["policy"].unique().tolist() == ["mine"]
@@ -292,8 +269,5 @@ def test_report_of_one_tube_lists_metres_to_repeat(tmp_path):
     sensor = "; with its axial vibration (rms) the sensor is above it in 3.0 m"
     allowed = f"allowed: at most 0.25 m/s (test_frequency) everywhere{sensor}; 0.0 m to repeat"
     assert other_verdicts(done, ["held"]) == {"held": allowed}
-    header, rows = first_page(replace(done, user_policies=("mine",))).repeat
-    assert header == ["from [m]", "to [m]", "reason"]
-    assert [[row.head, *(cell.text for cell in row.cells)] for row in rows] == [["5.0", "8.0", "speed"]]
     offered = {item.policy: unquote(item.address) for item in downloads(done.table, done.profile)}
     assert [content.splitlines()[-1].split(",")[1] for content in offered.values()] == ["0.3", "0.25"]  # by rank

@@ -24,56 +24,58 @@ from probe_env.inspection.snr import FREQUENCY
 NONE = np.zeros(0)
 
 
-def quiet(feed, seconds=100):
+def recorded(feed, seconds=100, motion=np.zeros_like):
+    """At constant feed, with a motion [m] by the time."""
     time = np.arange(1, 1000 * seconds + 1) * 1e-3
     silent = np.zeros((seconds, len(FREQUENCY)))
-    return Recording(time, 2.5 + feed * time, np.full(len(time), feed), np.zeros(len(time)), silent, 1000)
+    return Recording(time, 2.5 + feed * time, np.full(len(time), feed), motion(time), silent, 1000)
+
+
+def sine(time):
+    return np.sin(2 * np.pi * 14.0 * time)
+
+
+def voltages_of(sensor, recording, flaws=(), supports=NONE, seed=0):
+    return channels(sensor, recording, 0.0242, flaws, supports, np.random.default_rng(seed))
 
 
 @pytest.mark.parametrize("feed", [0.08, 0.2, 0.4])
 def test_filtered_flaw_has_the_height_of_the_formula(feed):
     """Mean of n flaws: within 4 deviations of 1 / sqrt(n) (a chance of 6e-5), and 0.5 % for the bends of a peak."""
-    sensor, recording = Sensor(), quiet(feed)
+    sensor, recording = Sensor(), recorded(feed)
     flaws = [Flaw(place, 0.2) for place in np.arange(3.0, recording.position[-1] - 0.2, 0.2)]
-    voltages = channels(sensor, recording, 0.0242, flaws, NONE, np.random.default_rng(0))
-    values = filtered(sensor, recording, along_flaw(sensor, voltages))
+    values = filtered(sensor, recording, along_flaw(sensor, voltages_of(sensor, recording, flaws)))
     shown = np.interp([flaw.position for flaw in flaws], recording.position, values)
     snr = 7.5 * np.sqrt(0.2 / feed)
     assert shown.mean() == pytest.approx(snr, abs=4.0 / np.sqrt(len(flaws)) + 5e-3 * snr)
-    free_of_flaws = channels(sensor, recording, 0.0242, [], NONE, np.random.default_rng(1))
-    empty = filtered(sensor, recording, along_flaw(sensor, free_of_flaws))
+    empty = filtered(sensor, recording, along_flaw(sensor, voltages_of(sensor, recording, seed=1)))
     free = 1.2 * feed / sensor.flaw_width * 100.0  # independent samples, u/w per second: scatter 1/sqrt(2n)
     assert empty.std() == pytest.approx(1.0, abs=4.0 / np.sqrt(2.0 * free))
 
 
 def test_motion_is_opposite_and_unequal_in_both_channels():
-    sensor, recording = Sensor(square_gain=0.0, quiet_snr=1000.0, motion_gain=2900.0), quiet(0.2, 2)
-    motion = 1e-4 * np.sin(2 * np.pi * 14.0 * recording.time)
-    moved = Recording(recording.time, recording.position, recording.feed, motion, recording.spectrum, 1000)
-    x, y = channels(sensor, moved, 0.0242, [], NONE, np.random.default_rng(0)).T
+    sensor = Sensor(square_gain=0.0, quiet_snr=1000.0, motion_gain=2900.0)
+    x, y = voltages_of(sensor, recorded(0.2, 2, lambda time: 1e-4 * sine(time))).T
     assert np.polyfit(x, y, 1)[0] == pytest.approx(-np.tan(sensor.angle), rel=0.02)
     assert np.ptp(x) == pytest.approx(2 * 2900.0 * 1e-4 * np.cos(sensor.angle), rel=0.1)
 
 
 def test_squared_motion_is_equal_in_both_channels():
     """The same noise with and without it: what differs is k2 (y/R)^2 without its mean, to rounding."""
-    motion, bore = 2e-3 * np.sin(2 * np.pi * 14.0 * quiet(0.2, 2).time), 0.0242
-    both = []
-    for gain in (35.5, 0.0):
-        sensor, still = Sensor(square_gain=gain), quiet(0.2, 2)
-        moved = Recording(still.time, still.position, still.feed, motion, still.spectrum, 1000)
-        both.append(channels(sensor, moved, bore, [], NONE, np.random.default_rng(0)))
-    square = ((motion - motion.mean()) / (0.5 * bore)) ** 2
+    moved = recorded(0.2, 2, lambda time: 2e-3 * sine(time))
+    both = [voltages_of(Sensor(square_gain=gain), moved) for gain in (35.5, 0.0)]
+    motion = 2e-3 * sine(moved.time)
+    square = ((motion - motion.mean()) / (0.5 * 0.0242)) ** 2
     wanted = 35.5 * (square - square.mean())
     assert np.ptp(wanted) > 0.9
     assert both[0] - both[1] == pytest.approx(np.column_stack([wanted, wanted]), abs=1e-11)
 
 
 def test_supports_are_where_they_were_put():
-    sensor, recording = Sensor(quiet_snr=1000.0), quiet(0.2, 20)
+    sensor, recording = Sensor(quiet_snr=1000.0), recorded(0.2, 20)
     supports = support_positions(0.8, recording.position[-1])
     assert supports[0] == 0.4
-    x, y = channels(sensor, recording, 0.0242, [], supports, np.random.default_rng(0)).T
+    x, y = voltages_of(sensor, recording, supports=supports).T
     inside = supports[(supports > 2.6) & (supports < 6.3)]
     loud = recording.position[np.abs(x) > 0.5 * sensor.support_signal]
     assert (np.abs(loud[:, None] - inside).min(axis=1) < sensor.support_width).all()
@@ -83,18 +85,15 @@ def test_supports_are_where_they_were_put():
 
 def test_measured_noise_follows_the_vibration():
     """A tone of 14 Hz, louder every second: X has it times k1 cos(angle), less what means over 10 ms take, 3.2 %."""
-    sensor, still = Sensor(square_gain=0.0, quiet_snr=1000.0, motion_gain=2900.0), quiet(0.2, 20)
-    amplitude = 1e-5 * np.arange(1, 21)
-    motion = np.repeat(amplitude, 1000) * np.sin(2 * np.pi * 14.0 * still.time)
-    recording = Recording(still.time, still.position, still.feed, motion, still.spectrum, 1000)
+    sensor, amplitude = Sensor(square_gain=0.0, quiet_snr=1000.0, motion_gain=2900.0), 1e-5 * np.arange(1, 21)
+    recording = recorded(0.2, 20, lambda time: np.repeat(amplitude, 1000) * sine(time))
     periods = tuple({"radial_rms_m": value / np.sqrt(2.0), "snr": 7.5} for value in amplitude)
-    voltages = channels(sensor, recording, 0.0242, [], NONE, np.random.default_rng(0))
-    table = by_period(Insertion(recording, periods, {}), voltages)
+    table = by_period(Insertion(recording, periods, {}), voltages_of(sensor, recording))
     assert table["place_m"].tolist() == pytest.approx((2.5 + 0.2 * np.arange(1, 21)).tolist())
     wanted = np.sinc(14.0 * SMOOTHING) * 2900.0 * amplitude / np.sqrt(2.0)
     loud = slice(9, None)  # there electronics, 1 % of a groove's signal a second, add less than 1 %
-    assert table["x_deviation_v"][loud].tolist() == pytest.approx(wanted[loud] * np.cos(0.6), rel=0.02)
-    assert table["y_deviation_v"][loud].tolist() == pytest.approx(wanted[loud] * np.sin(0.6), rel=0.02)
+    for name, part in (("x_deviation_v", np.cos(0.6)), ("y_deviation_v", np.sin(0.6))):
+        assert table[name][loud].tolist() == pytest.approx(wanted[loud] * part, rel=0.02)
     assert correlation(table) == 1.0
     assert np.isnan(correlation(table.assign(radial_rms_m=1e-5)))
 

@@ -10,26 +10,9 @@ from oracles.scatter import hits_within
 from scipy.optimize import brentq
 from scipy.stats import betabinom, binom, norm
 
-from probe_agents.evaluation import figures
+from probe_agents.evaluation import figures, statistics
 from probe_agents.evaluation.kpis import CORE, HIGH, KPIS
 from probe_agents.evaluation.signal import draw_curves
-from probe_agents.evaluation.statistics import (
-    Interval,
-    bands,
-    bundle_hours,
-    bundle_table,
-    comparison_lines,
-    depths_of,
-    endings,
-    fraction_of_lead,
-    grouped,
-    has_curves,
-    mean_interval,
-    paired_difference,
-    ratio_interval,
-    strain_lines,
-    summarise,
-)
 from probe_env import Context
 from probe_env.envs.plants import Bundle
 from probe_env.envs.task import ENDINGS
@@ -46,7 +29,7 @@ def test_intervals_cover_the_truth_as_often_as_they_say(seeds):
     """
     rng, hits = np.random.default_rng(seeds(1)), 0
     for _ in range(200):
-        interval = mean_interval(rng.normal(3.0, 2.0, size=30))
+        interval = statistics.mean_interval(rng.normal(3.0, 2.0, size=30))
         assert interval.low < interval.mean < interval.high
         hits += interval.low <= 3.0 <= interval.high
     minimum, maximum = hits_within(200, 0.931, 0.951)
@@ -64,7 +47,7 @@ def test_ratio_intervals_cover_and_equal_the_normal_ones(seeds):
     covered, trials = 0, 80
     for _ in range(trials):
         first, second = rng.normal(1.2, 0.12, 24), rng.normal(1.0, 0.1, 24)
-        ratio, low, high = astuple(ratio_interval(first, second))
+        ratio, low, high = astuple(statistics.ratio_interval(first, second))
         half = 1.96 * ratio * np.sqrt(np.var(first) / 24 / 1.44 + np.var(second) / 24)
         assert high - low == pytest.approx(2.0 * half, rel=6.0 * 0.018)  # 80 times a chance of 2e-9, and some skewness
         covered += low <= 1.2 <= high
@@ -75,17 +58,17 @@ def test_ratio_intervals_cover_and_equal_the_normal_ones(seeds):
 @pytest.mark.parametrize("count", [3, 6])
 def test_the_last_bit_of_a_value_moves_no_interval(count):
     values = np.random.default_rng(2).normal(10.0, 5.0, count)
-    exact = astuple(mean_interval(values))
+    exact = astuple(statistics.mean_interval(values))
     for draw in range(20):
         towards = np.random.default_rng(draw).choice([-np.inf, np.inf], count)
-        assert astuple(mean_interval(np.nextafter(values, towards))) == pytest.approx(exact, rel=1e-12)
+        assert astuple(statistics.mean_interval(np.nextafter(values, towards))) == pytest.approx(exact, rel=1e-12)
 
 
 def test_means_of_special_cases():
-    assert mean_interval(np.array([2.0])).text() == "2"
-    assert mean_interval(np.full(5, 1.5)) == Interval(1.5, 1.5, 1.5)
+    assert statistics.mean_interval(np.array([2.0])).text() == "2"
+    assert statistics.mean_interval(np.full(5, 1.5)) == statistics.Interval(1.5, 1.5, 1.5)
     with pytest.raises(ValueError, match="one or more finite"):
-        mean_interval(np.array([1.0, np.nan]))
+        statistics.mean_interval(np.array([1.0, np.nan]))
     assert set(CORE) | set(HIGH) <= set(KPIS)
 
 
@@ -103,60 +86,56 @@ def synthetic(difference, contexts=40, noise=1.0):
 
 def test_pairing_sees_what_the_scatter_between_contexts_hides():
     table = synthetic(41.0)
-    difference = paired_difference(table, "A", "B", "inspection_time_s")
+    difference = statistics.paired_difference(table, "A", "B", "inspection_time_s")
     assert difference.mean == pytest.approx(-41.0, abs=1.0)
     assert difference.high - difference.low < 2.0
     with pytest.raises(ValueError, match="cannot be paired"):
-        paired_difference(table[~((table["policy"] == "A") & (table["context"] == 3))], "A", "B", "reward")
-
-
-def test_lines_give_difference_and_interval():
-    for table, words in (
-        (synthetic(41.0), r"A against B: time -41(\.\d)? s \[-4\d(\.\d)?, -4\d(\.\d)?\], length within"),
+        statistics.paired_difference(table[~((table["policy"] == "A") & (table["context"] == 3))], "A", "B", "reward")
+    for rows, words in (
+        (table, r"A against B: time -41(\.\d)? s \[-4\d(\.\d)?, -4\d(\.\d)?\], length within"),
         (synthetic(41.0, contexts=1), r"A against B: time -4\d(\.\d)? s, length"),  # one tube has no interval
         (synthetic(0.0), r"A against B: time [+-]\d.* s \[-.*, \+.*\], length"),
     ):
-        (line,) = comparison_lines(table, "B")
+        (line,) = statistics.comparison_lines(rows, "B")
         assert re.match(words, line), line
 
 
 def test_the_share_of_the_planners_lead():
     rewards = {"planner": [10.0, 14.0], "best-schedule": [2.0, 4.0], "mine": [6.0, 9.0]}
-    rows = [
+    table = pd.DataFrame(
         dict.fromkeys((*CORE, "complete"), 1.0) | {"policy": name, "context": k, "seed": 0, "reward": value}
         for name, values in rewards.items() for k, value in enumerate(values)
-    ]  # fmt: skip
-    table = pd.DataFrame(rows)
-    assert fraction_of_lead(table, "mine").mean == pytest.approx(4.5 / 9.0)
-    assert any("over best-schedule 50 [" in line for line in comparison_lines(table, "best-schedule"))
-    assert fraction_of_lead(table[table["context"] == 0], "mine").text(100.0) == "50"
+    )  # fmt: skip
+    assert statistics.fraction_of_lead(table, "mine").mean == pytest.approx(4.5 / 9.0)
+    assert any("over best-schedule 50 [" in line for line in statistics.comparison_lines(table, "best-schedule"))
+    assert statistics.fraction_of_lead(table[table["context"] == 0], "mine").text(100.0) == "50"
     with pytest.raises(ValueError, match="same contexts"):
-        fraction_of_lead(table[(table["policy"] != "mine") | (table["context"] > 0)], "mine")
+        statistics.fraction_of_lead(table[(table["policy"] != "mine") | (table["context"] > 0)], "mine")
 
 
 def test_summary_endings_and_training_seeds():
     table = synthetic(41.0)
     table.loc[0, ["complete", "lost_drive"]] = 0.0, 1.0
-    rows = summarise(table).set_index(["policy", "kpi"])
-    assert rows.loc[("A", "inspection_time_s"), "worst"] == table[table["policy"] == "A"]["inspection_time_s"].max()
-    assert rows.loc[("A", "reward"), "worst"] == table[table["policy"] == "A"]["reward"].min()
-    assert rows.loc[("B", "inspection_time_s"), "iqm"] == pytest.approx(
-        np.sort(table[table["policy"] == "B"]["inspection_time_s"])[10:30].mean()
-    )
-    assert endings(table).loc["A"].tolist() == [39, 1, 0, 40]
-    table = grouped(pd.DataFrame({"policy": ["ppo@2", "a@b", "ppo"]}))
+    rows = statistics.summarise(table).set_index(["policy", "kpi"])
+    times, rewards = table.groupby("policy")["inspection_time_s"], table.groupby("policy")["reward"]
+    assert rows.loc[("A", "inspection_time_s"), "worst"] == times.max()["A"]
+    assert rows.loc[("A", "reward"), "worst"] == rewards.min()["A"]
+    middle = np.sort(times.get_group("B"))[10:30]
+    assert rows.loc[("B", "inspection_time_s"), "iqm"] == pytest.approx(middle.mean())
+    assert statistics.endings(table).loc["A"].tolist() == [39, 1, 0, 40]
+    table = statistics.grouped(pd.DataFrame({"policy": ["ppo@2", "a@b", "ppo"]}))
     assert table.to_dict("list") == {"policy": ["ppo", "a@b", "ppo"], "training_seed": [2, 0, 0]}
 
 
 def test_a_strained_cable_is_named():
     rows = [("a", 0.0, 0.0), ("a", 2.0, 0.0), ("b", 0.0, 0.0), ("c", 1.0, 40.0)]
     table = pd.DataFrame(rows, columns=["policy", "cost_tension", "cost_buckling"])
-    assert strain_lines(table) == [
+    assert statistics.strain_lines(table) == [
         "a: the root was over the tension limit in 1 of 2 episodes, for 2 control periods at most",
         "c: the root was over the tension limit in 1 of 1 episodes, for 1 control period at most",
         "c: the root was compressed beyond the buckling load in 1 of 1 episodes, for 40 control periods at most",
     ]
-    assert strain_lines(table[["policy"]]) == []
+    assert statistics.strain_lines(table[["policy"]]) == []
 
 
 def found(**snr):
@@ -169,11 +148,17 @@ def found(**snr):
     return pd.DataFrame(rows)
 
 
-def test_equal_tubes_leave_nothing_to_chance():
-    depths = depths_of(found(one=[7.5] * 6)).iloc[0]
-    assert depths["a90_95_percent_wall"] == pytest.approx(depths["a90_percent_wall"], rel=1e-12)
-    for name, deviations in (("a90_percent_wall", 4.6 + 1.2816), ("a50_percent_wall", 4.6)):
-        assert depths[name] == pytest.approx(20.0 * deviations / 7.5, rel=2e-3)
+def test_equal_tubes_leave_nothing_to_chance_and_one_no_interval():
+    for tubes in (6, 1):
+        depths = statistics.depths_of(table := found(one=[7.5] * tubes)).iloc[0]
+        bound = depths["a90_percent_wall"] if tubes > 1 else np.nan
+        assert depths["a90_95_percent_wall"] == pytest.approx(bound, rel=1e-12, nan_ok=True)
+        for name, deviations in (("a90_percent_wall", 4.6 + 1.2816), ("a50_percent_wall", 4.6)):
+            assert depths[name] == pytest.approx(20.0 * deviations / 7.5, rel=2e-3)
+    rows = statistics.summarise(synthetic(41.0, contexts=1))
+    assert rows["mean"].notna().all()
+    for intervals in (statistics.bands(table), rows):
+        assert intervals[["low", "high"]].isna().all(axis=None)
 
 
 def test_the_bound_is_the_95th_percentile_in_closed_form():
@@ -183,7 +168,7 @@ def test_the_bound_is_the_95th_percentile_in_closed_form():
     4.4 deviations from both, a chance of 1e-5. Bounds of 90 and 97.5 % would be those of 9 and 7 good ones.
     """
     tubes, kinds = 24, np.array([9.0, 5.0])
-    bound = depths_of(found(p=np.repeat(kinds, tubes // 2))).iloc[0]["a90_95_percent_wall"]
+    bound = statistics.depths_of(found(p=np.repeat(kinds, tubes // 2))).iloc[0]["a90_95_percent_wall"]
     good, bad = pod_gaussian(snr_at(Sensor(), kinds), 4.6)
 
     def depth(count):
@@ -196,35 +181,23 @@ def test_the_bound_is_the_95th_percentile_in_closed_form():
 
 def test_the_mean_curve_counts_and_not_the_mean_depth():
     """One tube in five where nothing is found: no depth is found with 90 % over all of them."""
-    table = found(p=[8.0, 8.0, 8.0, 8.0, 1e-3])
-    assert depths_of(table).iloc[0]["a90_percent_wall"] == 100.0
+    depths = statistics.depths_of(found(p=[8.0, 8.0, 8.0, 8.0, 1e-3])).iloc[0]
+    assert depths["a90_percent_wall"] == 100.0
     curve = 0.8 * pod_gaussian(snr_at(Sensor(), np.array([8.0])), 4.6)[0]
-    assert depths_of(table).iloc[0]["a50_percent_wall"] == pytest.approx(100 * depth_found(curve, 0.5), rel=1e-3)
-
-
-def test_one_tube_has_an_a90_without_interval():
-    table = found(one=[7.5])
-    depths = depths_of(table).iloc[0]
-    assert depths["a90_percent_wall"] == pytest.approx(20.0 * (4.6 + 1.2816) / 7.5, rel=2e-3)
-    assert np.isnan(depths["a90_95_percent_wall"])
-    assert bands(table)[["low", "high"]].isna().all(axis=None)
-    table = synthetic(41.0, contexts=1)
-    rows = summarise(table).set_index("kpi")
-    assert rows["mean"].notna().all()
-    assert rows[["low", "high"]].isna().all(axis=None)
+    assert depths["a50_percent_wall"] == pytest.approx(100 * depth_found(curve, 0.5), rel=1e-3)
 
 
 def test_bands_and_curves_of_a_stored_evaluation(tmp_path, capsys):
     """Tables of older versions have no curves, which is refused."""
-    drawn = bands(found(good=[7.0, 8.0, 9.0], bad=[2.0, 3.0, 4.0]))
+    drawn = statistics.bands(found(good=[7.0, 8.0, 9.0], bad=[2.0, 3.0, 4.0]))
     assert (drawn["low"] <= drawn["pod"] + 1e-12).all()
     assert (drawn["pod"] <= drawn["high"] + 1e-12).all()
     assert len(drawn) == 2 * len(DEPTHS)
     assert figures.curves(drawn, tmp_path / "pod.png").stat().st_size > 5000
     whole = found(good=[7.0, 8.0, 9.0]).assign(**dict.fromkeys((*KPIS, *Context.model_fields, *ENDINGS), 1.0))
     whole.drop(columns=list(POD_NAMES)).to_parquet(tmp_path / "episodes.parquet", index=False)
-    assert has_curves(whole)
-    assert not has_curves(whole.drop(columns=POD_NAMES[0]))
+    assert statistics.has_curves(whole)
+    assert not statistics.has_curves(whole.drop(columns=POD_NAMES[0]))
     with pytest.raises(ValueError, match="its episodes have no detection curves; run the evaluation again"):
         draw_curves(tmp_path, tmp_path / "out")
     whole.to_parquet(tmp_path / "episodes.parquet", index=False)
@@ -241,7 +214,7 @@ def test_bundle_hours_of_two_tubes_in_closed_form(tubes):
     The ends are percentiles of 2,000 draws: their standard error is sqrt(p (1 - p) / 2000) over the density.
     """
     times = np.array([300.0, 420.0])
-    hours, _, _ = bundle_hours(times, np.zeros(2, dtype=bool), tubes)
+    hours, _, _ = statistics.bundle_hours(times, np.zeros(2, dtype=bool), tubes)
     assert hours.mean == pytest.approx(tubes * 360.0 / 3600.0)
     means, weights, scatter = np.array([300.0, 360.0, 420.0]), np.array([0.25, 0.5, 0.25]), 120.0 / np.sqrt(2.0 * tubes)
     for p, end in ((0.025, hours.low), (0.975, hours.high)):
@@ -253,15 +226,15 @@ def test_bundle_hours_of_two_tubes_in_closed_form(tubes):
 def test_hours_and_second_passes_of_equal_times():
     """Shares as in Brown, Cai and DasGupta 2001 (Jeffreys, n = 10); one simulated tube has a share but no interval."""
     times, flags = np.full(10, 360.0), np.arange(10) < 1
-    hours, fraction, added = bundle_hours(times, flags, 500)
+    hours, fraction, added = statistics.bundle_hours(times, flags, 500)
     assert astuple(hours) == pytest.approx((50.0, 50.0, 50.0))
     assert astuple(fraction) == pytest.approx((0.1, 0.011, 0.381), abs=5e-4)
     low, high = betabinom.ppf((0.025, 0.975), 500, 1.5, 9.5) * 0.1
     assert added.mean == pytest.approx(5.0)
     assert (added.low, added.high) == pytest.approx((low, high), rel=0.25)  # 0.6 and 19 h; 5 standard errors of 2000
-    ends = [astuple(bundle_hours(times, np.full(10, again), 500)[1]) for again in (False, True)]
+    ends = [astuple(statistics.bundle_hours(times, np.full(10, again), 500)[1]) for again in (False, True)]
     assert ends == [pytest.approx((0.0, 0.0, 0.217), abs=5e-4), pytest.approx((1.0, 0.783, 1.0), abs=5e-4)]
-    hours, fraction, added = bundle_hours(times[:1], flags[:1], 500)
+    hours, fraction, added = statistics.bundle_hours(times[:1], flags[:1], 500)
     assert (hours.text(), fraction.mean, added.text()) == ("50", 1.0, "50")
 
 
@@ -272,8 +245,8 @@ def test_a_bundle_has_a_row_for_each_policy():
         "inspection_time_s": [300.0, 320.0] * 2 + [670.0] * 2, "complete": [1.0] * 5 + [0.0],
         "share_within_limit": [1.0, 0.9, 1.0, 1.0, 1.0, 0.5], "inspected_share": [1.0] * 5 + [0.5],
     })  # fmt: skip
-    rows = bundle_table(table, Bundle(tubes=100, setup_time=20.0, withdrawal_time=30.0)).set_index("policy")
+    rows = statistics.bundle_table(table, Bundle(tubes=100, setup_time=20.0, withdrawal_time=30.0)).set_index("policy")
     assert rows["hours"].to_dict() == pytest.approx({"a": 10.0, "b": 20.0})
     assert rows["second_pass_share"].to_dict() == {"a": 0.5, "b": 0.5}
     assert rows["second_pass_hours"].to_dict() == pytest.approx({"a": 5.0, "b": 10.0})
-    assert bundle_table(table.drop(columns="inspected_share"), None).empty
+    assert statistics.bundle_table(table.drop(columns="inspected_share"), None).empty

@@ -64,25 +64,22 @@ def test_an_interrupted_chart_goes_on(tmp_path):
     settings = [Setting(length=5.0, time_step=dt, members=2) for dt in (1e-3 / 7, 2.5e-4, 5e-4)]
     runs, ran = {setting.last: setting for setting in settings}, []
 
-    def breaks_off(setting):
-        if len(ran) == 1:
-            raise KeyboardInterrupt
-        return goes_on(setting)
+    def filled(limit):
+        def rows_of(setting):
+            if len(ran) == limit:
+                raise KeyboardInterrupt
+            ran.append(setting)
+            return setting.rows()
 
-    def goes_on(setting):
-        ran.append(setting)
-        return setting.rows()
-
-    def filled(rows_of):
         return Store(tmp_path / "ensembles.csv", (*Setting().key, "member")).fill(runs, rows_of)
 
     with pytest.raises(KeyboardInterrupt):
-        filled(breaks_off)
-    table = filled(goes_on)
+        filled(1)
+    table = filled(None)
     assert len(ran) == 3  # nothing twice
     assert len(table) == 6
     assert table.groupby("time_step_s")["diverged"].all().to_dict() == {1e-3 / 7: False, 2.5e-4: False, 5e-4: True}
-    filled(goes_on)
+    filled(None)
     assert len(ran) == 3  # a seventh of a millisecond is no short decimal, and it is found again
 
 

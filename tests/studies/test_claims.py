@@ -10,20 +10,11 @@ from scipy.signal import get_window
 
 from probe_agents.records.store import stored_rows
 from probe_agents.studies import claims
-from probe_agents.studies.claims import (
-    CASES,
-    TRIPS,
-    claims_of,
-    highest_peak,
-    insertion_of,
-    load_rows,
-    run_case,
-    trip,
-)
+from probe_agents.studies.claims import CASES, claims_of, highest_peak, insertion_of, run_case, trip
 from probe_env.physics.closed_forms import steady_root_tension
 
 ROOT = Path(__file__).parents[2]
-TABLE = load_rows(ROOT / "results" / "study")
+TABLE = claims.load_rows(ROOT / "results" / "study")
 NAMED = {case.name: case for case in CASES}
 
 
@@ -49,21 +40,20 @@ def pair(back, fed, peak):
 
 
 def test_verdicts_follow_the_rows():
-    cases_of_test = (
+    for back, peak, less, none in (
         (1e-6, 1e-7, "yes", "yes"),
         (3e-4, 5e-5, "not clearly", "not clearly"),
         (6e-4, 1e-7, "no", "yes"),
         (1e-6, 2e-5, "yes", "not clearly"),
         (1.0, 1e-7, "no", "yes"),
-    )
-    for back, peak, less, none in cases_of_test:
+    ):
         holds = claims_of(pair(back, 3e-4, peak)).set_index("claim")["holds"]
         assert holds["less vibration in the return"] == less
         assert holds["no noticeable radial peak in the return from 2 s on: original"] == none
 
 
 def test_withdrawals_differ_in_direction_only():
-    for case in TRIPS:
+    for case in claims.TRIPS:
         if case.withdrawn:
             fed, back = NAMED[insertion_of(case.name)].load_scene(), case.load_scene()
             assert (back.couple, fed.couple) == ("tangent", "frame")
@@ -85,15 +75,12 @@ def test_a_short_trip_slides_as_the_closed_form_and_is_repeated(withdrawn):
 
 
 def test_runs_are_stored_and_not_repeated(tmp_path, monkeypatch, capsys):
-    chosen = tuple(NAMED[name] for name in ("l10", "original-l10-u200-in"))
-    monkeypatch.setattr(claims, "CASES", chosen)
+    monkeypatch.setattr(claims, "CASES", tuple(NAMED[name] for name in ("l10", "original-l10-u200-in")))
     monkeypatch.setattr(claims, "DURATION", 0.5)
     claims.run(tmp_path)
     first = stored_rows(tmp_path / "ensemble.csv")
-    original, ran = claims.run_case, []
-    monkeypatch.setattr(
-        claims, "run_case", lambda case, *rest: ran.append((case.name, rest[0])) or original(case, *rest)
-    )
+    ran = []
+    monkeypatch.setattr(claims, "run_case", lambda case, *at: ran.append((case.name, at[0])) or run_case(case, *at))
     claims.run(tmp_path, trials=2)
     assert sorted(ran) == [("l10", 1), ("original-l10-u200-in", 1)]
     second = stored_rows(tmp_path / "ensemble.csv")

@@ -25,9 +25,7 @@ def test_growth_rate_of_the_cat_map():
     start = np.random.default_rng(0).uniform(size=(2, 8))
     matrix = np.array([[2.0, 1.0], [1.0, 1.0]])
     near = start + np.array([[TINY], [0.0]])
-    values = separations_of(
-        lambda x: matrix @ x % 1.0, start, near, lambda d: np.hypot(*(d - np.round(d))), count=40
-    )  # fmt: skip
+    values = separations_of(lambda x: matrix @ x % 1.0, start, near, lambda d: np.hypot(*(d - np.round(d))), count=40)
     row = growth(0.5 * np.arange(1, 41), values, 0.4, TINY)  # two steps a second
     rate = 2.0 * math.log((3.0 + math.sqrt(5.0)) / 2.0)
     # relative rounding 1e-16 / 1e-8 at the start of the window; the other eigenvalue's part is 2e-6 there

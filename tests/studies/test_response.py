@@ -11,24 +11,14 @@ from probe_agents.studies import response
 SIZE = 4
 
 
-@pytest.fixture
-def small(monkeypatch):
-    """Four insertions a group, into tubes of 9 and 8 m, at fast; three epochs."""
-    small = {
-        "SIZE": SIZE,
-        "LENGTHS": (9.0, 8.0),
-        "FIDELITY": "fast",
-        "MIN_METRES": 1,
-        "LAGS": 2,
-        "EPOCHS": 3,
-        "BATCH": 8,
-    }
-    for name, value in small.items():
-        monkeypatch.setattr(response, name, value)
+SMALL = {"SIZE": SIZE, "LENGTHS": (9.0, 8.0), "FIDELITY": "fast", "MIN_METRES": 1, "LAGS": 2, "EPOCHS": 3, "BATCH": 8}
 
 
 @pytest.mark.slow
-def test_groups_are_simulated_once_and_the_response_is_of_all(small, tmp_path, monkeypatch):
+def test_groups_are_simulated_once_and_the_response_is_of_all(tmp_path, monkeypatch):
+    """Four insertions a group, into tubes of 9 and 8 m, at fast; three epochs."""
+    for name, value in SMALL.items():
+        monkeypatch.setattr(response, name, value)
     made = response.run(tmp_path, limit=2)
     with np.load(tmp_path / "fast-001.npz") as bank:
         rows = {name: bank[name] for name in bank.files}
