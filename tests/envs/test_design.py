@@ -128,9 +128,7 @@ def test_scores_equal_closed_values():
     assert kpis["inspection_time_s"][0] == pytest.approx(237.5)
     assert kpis["drive_margin_n"][0] == pytest.approx(3.2)
     assert kpis["radial_rms_m"][0] == pytest.approx(np.sqrt((20.0 * 5e-5**2 + 27.5 * 5e-4**2) / 47.5))
-
-
-def test_unreached_sections_have_the_max_cost():
+    # sections that were not reached have the greatest cost
     terms, kpis = score_designs([IMPROVED], two_sections((5e-5, 0.0), diverged=True, widths=(20.0, 0.0)), CONFIG)
     assert kpis["missed_m"][0] == pytest.approx(27.5)
     assert kpis["inspected_m"][0] == pytest.approx(20.0)

@@ -66,9 +66,8 @@ def test_a_metre_is_scored_by_the_selected_pass():
         ("withdrawal", [4.0, 0.2 + 3.0 + 0.6 + 9.0, 2.0, 12.8]),
         ("best", [4.0, 0.2 + 0.9 + 0.6 + 9.0, 3.0, 10.7]),
     ):
-        assert round_trip(scored_pass, (0.5, 0.9, 4.0, 9.0), (0.2, 3.0, 0.6, 9.0)) == pytest.approx(expected), (
-            scored_pass
-        )
+        found = round_trip(scored_pass, (0.5, 0.9, 4.0, 9.0), (0.2, 3.0, 0.6, 9.0))
+        assert found == pytest.approx(expected), scored_pass
 
 
 def test_the_score_does_not_depend_on_the_division_into_periods():
@@ -99,20 +98,14 @@ def play(back=0.4, **config):
     observation, info = env.reset(seed=3, options=HARD.model_dump())
     observations, infos, rewards, way, over = [observation], [info], [], 1.0, False
     while not over:
-        observation, reward, terminated, truncated, info = env.step(
-            env.config.action(0.4 if way > 0.0 else back, 63.0 / 3600.0)
-        )
+        action = env.config.action(0.4 if way > 0.0 else back, 63.0 / 3600.0)
+        observation, reward, terminated, truncated, info = env.step(action)
         assert env.observation_space.contains(observation)
         observations.append(observation)
         infos.append(info)
         rewards.append(reward)
         way, over = info["direction"], terminated or truncated
     return env, np.array(observations), infos, rewards
-
-
-@pytest.fixture(scope="module")
-def episode():
-    return play()
 
 
 def test_probe_that_stays_earns_less_than_one_that_returns():
@@ -130,10 +123,10 @@ def test_probe_that_stays_earns_less_than_one_that_returns():
             assert info["episode_kpis"]["reward"] < whole - 5.0, (scored_pass, seconds)
 
 
-def test_probe_turns_at_the_end_and_returns(episode):
-    env, observations, infos, rewards = episode
+def test_probe_turns_at_the_end_and_returns():
+    env, observations, infos, rewards = play()
     values = in_si_units(env.config, observations)
-    lengths, way = values["inserted_length"], values["direction"]
+    lengths, way, speed = values["inserted_length"], values["direction"], np.abs(values["feed_speed"])
     assert way[0] == 1.0
     assert way[-1] == -1.0
     assert lengths.max() == pytest.approx(8.0)
@@ -151,6 +144,14 @@ def test_probe_turns_at_the_end_and_returns(episode):
     steady = np.abs(np.diff(values["feed_speed"], prepend=0.0)) < 1e-6
     assert (values["root_tension"][(way > 0.0) & steady] > 1.0).all()  # tension on insertion
     assert (values["root_tension"][(way < 0.0) & steady][2:] < -1.0).all()  # compression on withdrawal
+    # time-lapse is on insertion only
+    steady = np.flatnonzero((speed[1:] == speed[:-1]) & (way[1:] == way[:-1])) + 1
+    travelled = np.abs(np.diff(lengths))[steady[:-1] - 1]
+    assert travelled == pytest.approx(0.4 * env.config.period, rel=1e-5)  # in either direction
+    turned = sum(info["direction"] < 0.0 for info in infos[:-1])  # periods that began on withdrawal
+    inserting = (len(infos) - 1 - turned) * env.config.period / 4.0
+    time = env.config.settle_time + inserting + turned * env.config.period
+    assert env.episodes.simulated().simulators[0].time == pytest.approx(time)
 
 
 @pytest.mark.slow
@@ -221,35 +222,19 @@ def test_methods_without_withdrawal_are_refused():
         TaskConfig(passes="both", growing=False)
 
 
-class TestTimeLapse:
-    """On insertion only."""
-
-    def test_withdrawal_has_none(self, episode):
-        env, observations, infos, _ = episode
-        values = in_si_units(env.config, observations)
-        speed = np.abs(values["feed_speed"])
-        steady = np.flatnonzero((speed[1:] == speed[:-1]) & (values["direction"][1:] == values["direction"][:-1])) + 1
-        travelled = np.abs(np.diff(values["inserted_length"]))[steady[:-1] - 1]
-        assert travelled == pytest.approx(0.4 * env.config.period, rel=1e-5)  # in either direction
-        simulator = env.episodes.simulated().simulators[0]
-        turned = sum(info["direction"] < 0.0 for info in infos[:-1])  # periods that began on withdrawal
-        settled = env.config.settle_time
-        inserting = (len(infos) - 1 - turned) * env.config.period / 4.0
-        assert simulator.time == pytest.approx(settled + inserting + turned * env.config.period)
-
-    def test_a_batch_equals_single_probes(self):
-        """Bit for bit, with probes on insertion and on withdrawal in one batch."""
-        config = TaskConfig(passes="both", scene=SHORT, time_limit=1800.0)
-        actions = config.actions(np.array([0.4, 0.15]), np.full(2, 63.0 / 3600.0))
-        many, alone, mixed = Episodes(2, config, fidelity="fast"), Episodes(1, config, fidelity="fast"), 0
-        options = {0: {"context": HARD}, 1: {"context": HARD.model_copy(update={"friction": 0.1})}}
-        many.reset([0, 1], {k: np.random.default_rng(k) for k in range(2)}, options)
-        alone.reset([0], {0: np.random.default_rng(1)}, {0: options[1]})
-        while many.running[1]:
-            active = many.running.copy()
-            step, single = many.step(actions, active), alone.step(actions[1:])
-            mixed += bool(active.all() and np.ptp(many.direction))
-            assert np.array_equal(single.observation[0], step.observation[1])
-            np.testing.assert_equal(single.infos[0], step.infos[1])
-            assert np.array_equal(alone.window.radial_of(0), many.window.radial_of(1))
-        assert mixed
+def test_a_batch_equals_single_probes():
+    """Bit for bit, with probes on insertion and on withdrawal in one batch."""
+    config = TaskConfig(passes="both", scene=SHORT, time_limit=1800.0)
+    actions = config.actions(np.array([0.4, 0.15]), np.full(2, 63.0 / 3600.0))
+    many, alone, mixed = Episodes(2, config, fidelity="fast"), Episodes(1, config, fidelity="fast"), 0
+    options = {0: {"context": HARD}, 1: {"context": HARD.model_copy(update={"friction": 0.1})}}
+    many.reset([0, 1], {k: np.random.default_rng(k) for k in range(2)}, options)
+    alone.reset([0], {0: np.random.default_rng(1)}, {0: options[1]})
+    while many.running[1]:
+        active = many.running.copy()
+        step, single = many.step(actions, active), alone.step(actions[1:])
+        mixed += bool(active.all() and np.ptp(many.direction))
+        assert np.array_equal(single.observation[0], step.observation[1])
+        np.testing.assert_equal(single.infos[0], step.infos[1])
+        assert np.array_equal(alone.window.radial_of(0), many.window.radial_of(1))
+    assert mixed

@@ -10,17 +10,9 @@ from scipy.stats import multivariate_t, norm, poisson
 from statsmodels.discrete.discrete_model import Logit
 
 from probe_env import Scene, SimulatorBatch
+from probe_env.inspection import detection as curves
 from probe_env.inspection import sensor as flaw
-from probe_env.inspection.detection import (
-    DEPTHS,
-    EDGES,
-    MIDDLES,
-    depth_found,
-    pod_empirical,
-    pod_gaussian,
-    snr_at,
-    threshold,
-)
+from probe_env.inspection.detection import DEPTHS, MIDDLES, depth_found, pod_empirical, pod_gaussian, snr_at, threshold
 from probe_env.inspection.metrics import DetectionMetrics
 from probe_env.inspection.sensor import Sensor
 from probe_env.inspection.snr import COUNT, FREQUENCY, FilteredSignal, SnrEstimator
@@ -55,7 +47,7 @@ def test_one_interval_in_closed_form():
 
 def test_gaussian_excursions_give_the_gaussian_curve():
     """Counts of the normal distribution; what remains is their bins of 0.25: a variance too large by 0.25^2 / 12."""
-    counts = np.diff(norm.cdf(EDGES)) * 1e9
+    counts = np.diff(norm.cdf(curves.EDGES)) * 1e9
     z = threshold(SENSOR, 60.0)
     snr = snr_at(SENSOR, np.array([2.0, 4.0, 12.0]))
     fraction = np.array([0.0, 0.5, 0.9])

@@ -7,19 +7,9 @@ from scipy.integrate import quad
 from scipy.signal import lfilter
 
 from probe_env.inspection import sensor as flaw
+from probe_env.inspection import snr as matched
 from probe_env.inspection.sensor import Sensor
-from probe_env.inspection.snr import (
-    COUNT,
-    FREQUENCY,
-    NEWEST_FRACTION,
-    STEP,
-    SnrEstimator,
-    density,
-    detrended,
-    inverse_bias,
-    retained_weight,
-    snr_of_groove,
-)
+from probe_env.inspection.snr import COUNT, FREQUENCY, STEP, SnrEstimator, density, detrended, snr_of_groove
 from probe_env.physics.simulation.batch import SimulatorBatch
 from probe_env.physics.simulation.signals import SAMPLE_PERIOD
 from probe_env.scene import Contact, Scene
@@ -153,19 +143,21 @@ def test_freedom_of_a_mean_of_spectra(passed, deviation, seeds):
         estimator.update(np.arange(400), rng.normal(size=(steps, 400)), np.full(400, 0.2))
     estimates = estimator.spectrum[:, 4:90]
     variance = (estimates.var(axis=0) / estimates.mean(axis=0) ** 2).mean()
-    c = inverse_bias(passed)
+    c = matched.inverse_bias(passed)
     assert variance == pytest.approx((c - 1.0) / c, abs=of_another(deviation, 24, among=3) + 0.0025 * variance)
 
 
 @pytest.mark.parametrize("passed", [2.0, 1.0, 0.5, 0.25, 0.1, 0.05, 0.005])
 def test_last_second_has_its_fraction_of_the_mean(passed):
     """Weights of all spectra times their share of the last second; spectra without end fall off as exp(-t/m)."""
-    r, j = retained_weight(passed), np.arange(round(40.0 / passed))
-    assert ((1.0 - r) * r**j * np.maximum(1.0 - j * passed, 0.0)).sum() == pytest.approx(NEWEST_FRACTION, abs=1e-12)
+    r, j = matched.retained_weight(passed), np.arange(round(40.0 / passed))
+    assert ((1.0 - r) * r**j * np.maximum(1.0 - j * passed, 0.0)).sum() == pytest.approx(
+        matched.NEWEST_FRACTION, abs=1e-12
+    )
     if passed == 0.005:
         m = -passed / np.log(r)
         fraction = 1.0 - m * (1.0 - np.exp(-1.0 / m))
-        assert fraction == pytest.approx(NEWEST_FRACTION, rel=passed)  # the error of the sum is of first order
+        assert fraction == pytest.approx(matched.NEWEST_FRACTION, rel=passed)  # the error of the sum is of first order
 
 
 @pytest.mark.slow

@@ -55,6 +55,10 @@ def test_a_plant_is_a_scene_a_task_and_tubes(file):
     assert long.time_limit == pytest.approx(TaskConfig().time_limit * 80.0 / 60.0)
     assert Plant(tube={"helix_length": 80.0}, task={"time_limit": 700.0}).configured().time_limit == 700.0
     assert Plant().configured() == TaskConfig()
+    contexts = [{"friction": 0.3, "helix_diameter": 1.1}]  # of one's own
+    env = gym.make("probe_env/Insertion-v1", tube=file, contexts=contexts, **SETTINGS)
+    assert env.reset(seed=0)[1]["context"] == Context.model_validate(contexts[0]).model_dump()
+    assert env.unwrapped.config.scene.tube.inner_diameter == 22.1e-3
 
 
 @pytest.mark.parametrize("form", [Path, str, Plant.from_toml, lambda path: Plant.from_toml(path).model_dump()])
@@ -106,18 +110,12 @@ BROKEN = {
     "tube.helix_diameter.*at least 1": {"tube": {"helix_diameter": []}},
     "contact.friction.high: Field required": {"contact": {"friction": {"low": 0.1}}},
     "contact.friction.* low = 0.3 must not exceed high = 0.2": {"contact": {"friction": {"low": 0.3, "high": 0.2}}},
-    "contact.friction: high = 1.3 is outside the accepted range 0 to 1": {
-        "contact": {"friction": {"low": 0.3, "high": 1.3}}
-    },
-    "contact.friction: must be a number, a table of low and high, or one of mean and std": {
-        "contact": {"friction": {"lo": 0.1}}
-    },
+    "contact.friction: high = 1.3 .* range 0 to 1": {"contact": {"friction": {"low": 0.3, "high": 1.3}}},
+    "contact.friction: .* a table of low and high, or one of mean and std": {"contact": {"friction": {"lo": 0.1}}},
     "contact.stiffness.*must be a number": {"contact": {"stiffness": "stiff"}},
     "contact.stiffness.std.*greater than 0": {"contact": {"stiffness": {"mean": 1e5, "std": 0.0}}},
     "air.drag_coefficient: value = nan": {"air": {"drag_coefficient": float("nan")}},
-    "air.drag_coefficient: 2e-06 to 2 times its median is beyond 0.1 to 10 times": {
-        "air": {"drag_coefficient": {"low": 0.0, "high": 0.5}}
-    },
+    "air.drag_coefficient: 2e-06 to 2 times .* 0.1 to 10 times": {"air": {"drag_coefficient": {"low": 0, "high": 0.5}}},
     r"task.ramp: belongs in \[feed\]": {"task": {"ramp": 1.0}},
     r"task.air_lag: belongs in \[air\]": {"task": {"air_lag": 1.0}},
     r"task.scene: belongs in \[tube\]": {"task": {"scene": {}}},
@@ -133,17 +131,13 @@ BROKEN = {
     "feed.feed_speed_step = 0.5 m/s: no whole step lies within feed_speeds, 0.02": {"feed": {"feed_speed_step": 0.5}},
     "no whole step lies within feed_speeds, 0.11 to": {"feed": {"feed_speeds": [0.11, 0.19], "feed_speed_step": 0.1}},
     "air.air_supply_step = 180 m3/h: no whole step lies within air": {"air": {"air_supply_step": 0.05}},
-    r"air: air_supply_rates_m3_per_h = \(30, 1000\): must be within 0 to 720 m3/h": {
-        "air": {"air_supply_rates_m3_per_h": [30, 1000]}
-    },
+    r"air: .*per_h = \(30, 1000\): must be within 0 to 720 m3/h": {"air": {"air_supply_rates_m3_per_h": [30, 1000]}},
     "air: air_supply_step_m3_per_h = 5: air_supply_step is given, too: leave one out": {
         "air": {"air_supply_step_m3_per_h": 5, "air_supply_step": 0.001}
     },
     "helix_diameter = 1400.0 m is outside the accepted range 0.3 to 50 m": {"tube": {"helix_diameter": 1400}},
     "task.vibration_limit = 0.1 m is more than the 0.0052 m that": {"task": {"vibration_limit": 0.1}},
-    r"route.0.slope: 120.0 degrees is outside the accepted range -90 to 90 degrees": {
-        "route": [{"length": 3.0, "slope": 120.0}, {"helix": True}]
-    },
+    r"route.0.slope: 120.0 degrees .* -90 to 90 degrees": {"route": [{"length": 3.0, "slope": 120.0}, {"helix": True}]},
     "route.0: length is missing: 0.001 to 1000 m": {"route": [{"slope": 90.0}, {"helix": True}]},
     r"route.0: helix = true has the length .* of \[tube\]": {"route": [{"helix": True, "length": 9.0}]},
     "route: 0 segments have helix = true; the accepted number is 1": {"route": [{"length": 3.0}]},
@@ -269,13 +263,6 @@ def test_targets_are_rounded_to_the_resolution_of_the_devices():
     assert np.allclose(air, np.round(air), atol=1e-9)
     assert feed.min() >= 0.02
     assert np.abs(targets - TaskConfig().targets(actions)).max() <= 0.025
-
-
-def test_custom_contexts_are_used_with_a_tube(file):
-    contexts = [{"friction": 0.3, "helix_diameter": 1.1}]
-    env = gym.make("probe_env/Insertion-v1", tube=file, contexts=contexts, **SETTINGS)
-    assert env.reset(seed=0)[1]["context"] == Context.model_validate(contexts[0]).model_dump()
-    assert env.unwrapped.config.scene.tube.inner_diameter == 22.1e-3
 
 
 def test_air_supply_in_m3_per_h():
