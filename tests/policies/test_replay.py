@@ -75,12 +75,10 @@ def test_the_length_of_a_log_is_followed_for_any_speeds_in_range(tmp_path, field
 def test_replay_of_slow_feeds_and_beyond_the_log(tmp_path):
     """Rigs stop at last; an episode that stood still with them would never end."""
     config = TaskConfig()
-    policy = replay_of(tmp_path, config, [0.3, 0.0], [20.0, 10.0])
-    _, targets = fed_by_device(policy, config, 60.0)
+    _, targets = fed_by_device(replay_of(tmp_path, config, [0.3, 0.0], [20.0, 10.0]), config, 60.0)
     assert (targets[21:30] == 0.0).all()
     assert targets[30:] == pytest.approx(0.02)
-    policy = replay_of(tmp_path, config, [0.005], 400.0)
-    lengths, targets = fed_by_device(policy, config, 399.0)
+    lengths, targets = fed_by_device(replay_of(tmp_path, config, [0.005], 400.0), config, 399.0)
     assert lengths[-1] - 5.0 == pytest.approx(2.0, abs=0.02 + ROUNDING)
     assert (targets == 0.0).mean() == pytest.approx(0.75, abs=0.02)  # a quarter of the slowest feed
 
@@ -100,8 +98,7 @@ def test_a_log_is_followed_from_where_the_episode_begins(tmp_path):
     """What lies before is left out; a log that begins further in is caught up with, at most at the fastest feed."""
     config = TaskConfig()
     for start, skipped in ((5.0, 0.0), (3.0, 10.0), (6.0, 0.0)):
-        policy = replay_of(tmp_path, config, [0.2], 150.0, start)
-        lengths, targets = fed_by_device(policy, config, 100.0)
+        lengths, targets = fed_by_device(replay_of(tmp_path, config, [0.2], 150.0, start), config, 100.0)
         wanted = start + 0.2 * (skipped + np.arange(1.0, 101.0))
         assert np.abs(lengths - wanted)[20:].max() <= 0.01 + ROUNDING, start
         assert targets[0] == pytest.approx(0.4 if start > 5.0 else 0.2, rel=1e-4)

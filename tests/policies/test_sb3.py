@@ -95,21 +95,17 @@ def test_models_that_would_act_differently_are_refused(env, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize(
-    ("wrapper", "message"),
-    [
-        (lambda env: RescaleAction(env, np.float32(0.0), np.float32(1.0)), r"action_space.low\[0\] of the model is 0;"
-         " that of the task is -1: train without wrappers that rescale actions"),
-        (NormalizeObservation, r"observation_space.low\[0\] of the model is -inf; that of the task is 0"),
-        (lambda env: RescaleObservation(env, np.float32(-2.0), np.float32(2.0)), r"observation_space.low\[0\] of the"
-         " model is -2"),
-    ],
-)  # fmt: skip
 @pytest.mark.filterwarnings("ignore:.*Box .* precision lowered by casting")
-def test_wrappers_that_rescale_are_refused(wrapper, message):
+def test_wrappers_that_rescale_are_refused():
     env = gym.make("probe_env/Snapshot-v1", config=CONFIG)
-    with pytest.raises(ValueError, match=message):
-        from_sb3(PPO("MlpPolicy", wrapper(env), device="cpu"), CONFIG)
+    action = r"action_space.low\[0\] of the model is 0; that of the task is -1: train without wrappers that rescale"
+    for wrapped, message in (
+        (RescaleAction(env, *np.float32([0.0, 1.0])), action),
+        (NormalizeObservation(env), r"observation_space.low\[0\] of the model is -inf; that of the task is 0"),
+        (RescaleObservation(env, *np.float32([-2.0, 2.0])), r"observation_space.low\[0\] of the model is -2"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            from_sb3(PPO("MlpPolicy", wrapped, device="cpu"), CONFIG)
 
 
 @pytest.mark.parametrize("name", ACTIVATIONS)

@@ -1,6 +1,6 @@
 """Policies around a policy: the shield keeps the drive and leaves alone what is safe."""
 
-from collections import deque
+from collections import defaultdict, deque
 from types import SimpleNamespace
 
 import numpy as np
@@ -27,12 +27,10 @@ def measured(friction, config=CONFIG):
     one, scene = np.ones(len(friction)), config.scene
     sliding = {"inserted_length": 40.0, "feed_speed": 0.2, "air_supply_rate": 63.0 / 3600.0, "helix_diameter": 1.2}
     sliding = {name: value * one for name, value in sliding.items()}
-    names = ("radial_acceleration_rms_m_per_s2", "axial_acceleration_rms_m_per_s2", "friction", "drag_factor",
-             "contact_stiffness", "remaining_length", "previous_feed_action", "previous_air_action")  # fmt: skip
     probe = {name: getattr(scene.probe, name) * one for name in config.observations if hasattr(scene.probe, name)}
     tension = sliding_tension(np.asarray(friction), sliding, scene)
-    values = dict.fromkeys(names, one) | sliding | probe | {"tension_mean_n": tension, "radial_rms_m": 1e-4 * one}
-    return observe(config, values, np.zeros((len(friction), 2)))
+    known = sliding | probe | {"tension_mean_n": tension, "radial_rms_m": 1e-4 * one}
+    return observe(config, defaultdict(lambda: one, known), np.zeros((len(friction), 2)))
 
 
 def given(actions):
