@@ -28,9 +28,8 @@ def advance(chain, scheme, state, steps, every, points=(0,), feed=0.0, air=0.0, 
     samples = np.zeros((steps // every, len(points), 4))
     points = np.array(points, dtype=np.int64)
     work = workspace(nodes) if work is None else work
-    status, *_ = ticm.advance(
-        chain, scheme, inputs, nodes - 1, state, work, every, every, points, samples, np.zeros(nodes)
-    )
+    sums = np.zeros(nodes)
+    status, *_ = ticm.advance(chain, scheme, inputs, nodes - 1, state, work, every, every, points, samples, sums)
     return status, samples
 
 
@@ -67,7 +66,21 @@ def matrices(chain):
     return M, K[: 3 * n, : 3 * n]
 
 
-def energy(chain, M, K, state):
+def row_of_pieces(modes, matrices):
+    """Sum of the pieces' matrices in a row from the tip, the last end held.
+
+    Unknowns: for every piece its tip-side end, then its modes.
+    """
+    width = 3 + modes
+    whole = np.zeros((width * len(matrices) + 3,) * 2)
+    for k, matrix in enumerate(matrices):
+        first = k * width
+        own = np.r_[first : first + 3, first + width : first + width + 3, first + 3 : first + width]
+        whole[np.ix_(own, own)] += matrix
+    return whole[:-3, :-3]
+
+
+def energy(M, K, state):
     """Kinetic plus elastic energy [J]."""
     d, v = state.d[:-1].ravel(), state.v[:-1].ravel()
     return 0.5 * v @ M @ v + 0.5 * d @ K @ d

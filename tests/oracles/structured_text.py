@@ -75,22 +75,21 @@ class FunctionBlock:
         def add(line: str) -> None:
             lines.append("    " * len(opened) + line)
 
+        def begin(line: str, end: str) -> None:
+            add(line)
+            opened.append(end)
+            add("pass")
+
         while (token := self.take()) != "END_FUNCTION_BLOCK" or opened:
             if token == "IF":
-                add(f"if {self._expression('THEN')}:")
-                opened.append("END_IF")
-                add("pass")
+                begin(f"if {self._expression('THEN')}:", "END_IF")
             elif token == "FOR":
                 name = self._target(self.take())
                 low, high = self._expression("TO"), self._expression("DO")
-                add(f"for {name} in range(int({low}), int({high}) + 1):")
-                opened.append("END_FOR")
-                add("pass")
+                begin(f"for {name} in range(int({low}), int({high}) + 1):", "END_FOR")
             elif token == "ELSE" and opened[-1:] == ["END_IF"]:
                 opened.pop()
-                add("else:")
-                opened.append("END_IF")
-                add("pass")
+                begin("else:", "END_IF")
             elif opened and token == opened[-1]:
                 opened.pop()
                 self.take(";")
@@ -120,14 +119,10 @@ class FunctionBlock:
 
 
 def _tokens(text: str) -> list[str]:
-    bare, place, tokens = re.sub(r"\(\*.*?\*\)", " ", text, flags=re.DOTALL).strip(), 0, []
-    while place < len(bare):
-        match = TOKEN.match(bare, place)
-        if match is None:
-            raise SyntaxError(f"{bare[place : place + 20]!r} is no structured text")
-        tokens.append(next(filter(None, match.groups())))
-        place = match.end()
-    return tokens
+    bare = re.sub(r"\(\*.*?\*\)", " ", text, flags=re.DOTALL).strip()
+    if unknown := TOKEN.sub("", bare).strip():
+        raise SyntaxError(f"{unknown!r} is no structured text")
+    return ["".join(groups) for groups in TOKEN.findall(bare)]
 
 
 def block_inputs(row: dict[str, np.ndarray], period: float, start: bool) -> dict[str, float]:

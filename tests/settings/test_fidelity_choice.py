@@ -96,18 +96,15 @@ def test_environments_take_fidelities():
 
 
 # scenes that are in no ensemble of the chart
-UNSEEN = Scene.model_validate(
-    {"carrier_length": 40.0, "tube": {"helix_diameter": 1.4}, "contact": {"friction": 0.18, "stiffness": 1.3e5}}
-)
+UNSEEN = Scene(carrier_length=40.0, tube={"helix_diameter": 1.4}, contact={"friction": 0.18, "stiffness": 1.3e5})
 
 
 def radial_rms(fidelity, seeds, growing):
     """At a constant length, or from 33 to 36 m of insertion."""
     scene = UNSEEN.model_copy(update={"carrier_length": 30.5}) if growing else UNSEEN
-    options = {"growing": True, "time_lapse": fidelity.time_lapse} if growing else {}
-    batch = SimulatorBatch(
-        [scene] * len(seeds), fidelity.method, fidelity.time_step, perturbation=1e-7, seeds=seeds, **options
-    )
+    options = {"perturbation": 1e-7, "seeds": seeds, "growing": growing}
+    options |= {"time_lapse": fidelity.time_lapse} if growing else {}
+    batch = SimulatorBatch([scene] * len(seeds), fidelity.method, fidelity.time_step, **options)
     batch.advance(None, None, 2.0 / batch.simulators[0].time_lapse)
     duration = 15.0 / fidelity.time_lapse if growing else 5.0
     return batch.advance(None, None, duration).statistics["radial_rms_m"]

@@ -99,14 +99,11 @@ def test_point_mass_on_the_contact_spring(wall):
 def test_coulomb_oscillator_loses_a_fixed_amplitude():
     """The amplitude falls by 2 mu N / k; the sign of friction lags one step, so by omega dt of that."""
     k_x, normal, mu, start = 400.0, 2.0, 0.15, 8e-3
-    support = np.zeros((2, 3))
-    support[0, 0] = k_x
-    load = np.zeros((2, 3))
-    load[0, 1] = -normal
+    support, load, d = np.zeros((3, 2, 3))
+    support[0, 0], load[0, 1] = k_x, -normal
     chain = uniform_chain(
         1, contact_stiffness=np.array([1e5, 0.0]), friction=mu, support_stiffness=support, load=load
     )._replace(axial_compliance=1e9, shear_compliance=1e9, bending_compliance=1e9, coupling_compliance=0.0)
-    d = np.zeros((2, 3))
     d[0] = start, -normal / 1e5, 0.0
     omega, dt = math.sqrt(k_x / chain.mass), 1e-5
     samples, _ = integrate(chain, newmark(dt), d=d, steps=round(2.6 * 2 * math.pi / omega / dt))
@@ -128,8 +125,7 @@ def test_a_straight_part_takes_what_its_balance_says():
     assert tension_for_straight(scene, 30.0) == pytest.approx(30.0 * (weight - drag), rel=1e-12)
     assert 0.8 / tension_for_straight(scene, 1.0) == pytest.approx(5.8, abs=0.05)
     assert tension_for_straight(scene.model_copy(update={"air_supply_rate": 68.0 / 3600.0}), 30.0) == 0.0
-    still = scene.model_copy(update={"air_supply_rate": 0.0, "feed_speed": 0.0})
-    slope = 0.3
+    still, slope = scene.model_copy(update={"air_supply_rate": 0.0, "feed_speed": 0.0}), 0.3
     along = weight * (math.sin(slope) + scene.contact.friction * math.cos(slope))
     assert tension_for_straight(still, 2.0, slope) == pytest.approx(2.0 * along, rel=1e-12)
     assert tension_for_straight(still, 2.0, -math.pi / 2.0) == 0.0  # it hangs

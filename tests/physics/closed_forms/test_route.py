@@ -31,9 +31,8 @@ def expanding(scene):
 @pytest.mark.parametrize("direction", [1.0, -1.0])
 def test_a_bend_divides_or_multiplies_as_a_capstan_does(direction):
     """10 kN from 10 m of helix that is nearly straight; the weight of the bend's cable is 1e-5 of it."""
-    scene = Scene.fitted(
-        {"tube": {"helix_diameter": 1e4, "helix_length": 10.0}, "probe": {"line_density": 0.01}}
-    ).model_copy(update={"feed_speed": 0.2 * direction})
+    fitted = Scene.fitted({"tube": {"helix_diameter": 1e4, "helix_length": 10.0}, "probe": {"line_density": 0.01}})
+    scene = fitted.model_copy(update={"feed_speed": 0.2 * direction})
     for angle in (0.5 * math.pi, 3.0):
         route = (Segment(length=0.5 * angle, bend_radius=0.5), HELIX)
         forces = route_forces(route, scene, drag=lambda air, behind: 1e3 * (behind < 10.0))
@@ -132,6 +131,5 @@ def test_min_air_leaves_no_force_and_less_is_not_enough():
         air = min_air(route, scene)
         assert np.abs(route_forces(route, scene, air).feed).max() < 1e-6
         assert (route_forces(route, scene, 0.99 * air).feed < 0.0).all()
-    # no air: beyond the scene's most
     still = SCENE.model_copy(update={"air": {"drag_coefficient": 0.0}})
-    assert np.isinf(min_air(route, still)).all()
+    assert np.isinf(min_air(route, still)).all()  # beyond the scene's most

@@ -16,12 +16,12 @@ def energies(chain):
     M, K = matrices(PASSIVE)
     state, work = at_rest(N + 1), workspace(N + 1)
     state.v[:-1] = np.random.default_rng(0).normal(size=(N, 3)) * [0.1, 0.1, 1.0]
-    values = [energy(chain, M, K, state)]
+    values = [energy(M, K, state)]
     for _ in range(CHUNKS):
         status, _ = advance(chain, newmark(TIME_STEP), state, STEPS // CHUNKS, STEPS, work=work)
         if status == ticm.DIVERGED:
             return np.append(values, np.inf)
-        values.append(energy(chain, M, K, state))
+        values.append(energy(M, K, state))
     return np.array(values)
 
 

@@ -56,10 +56,8 @@ def test_ticm_equals_the_dense_solution(n, time_step, scheme, withdrawal):
     chain = random_chain(rng, n, 10 ** rng.uniform(3.0, 7.0))
     state = random_state(rng, n + 1)
     if withdrawal:  # a cable that touches the walls and a couple that counts from the tangent
-        stiffness = 10 ** rng.uniform(3.0, 7.0)
-        chain = chain._replace(
-            cable_stiffness=stiffness, cable_radius=4e-3, couple_turn=chain.curvature, max_pressure=5.0
-        )
+        k = 10 ** rng.uniform(3.0, 7.0)
+        chain = chain._replace(cable_stiffness=k, cable_radius=4e-3, couple_turn=chain.curvature, max_pressure=5.0)
         state.d[-1] = rng.normal(size=3) * [1e-2, 1e-3, 1e-2]  # where the root is held
     assert_equals_dense(chain, scheme(time_step)._replace(wilson=False), state, 1e-10)  # (17)-(18) itself
 

@@ -87,10 +87,3 @@ def test_appending_nodes_does_not_shake_a_quiet_probe(method, feed_speed):
     assert (np.diff(radial, n=2) / 1e-3**2).std() < 0.2
     line = round(feed_speed / simulator.chain.element_length * 4.0)  # u / h in steps of 0.25 Hz
     assert 2.0 * np.abs(np.fft.rfft(detrend(radial))[line]) / len(radial) < 30e-9
-
-
-def test_time_lapse_feeds_faster_and_keeps_the_true_speed():
-    fast = Simulator(QUIET, "imex", 2e-4, growing=True, time_lapse=4.0)
-    fast.advance(None, None, 1.0)
-    assert fast.inserted_length == pytest.approx(7.5 + 0.8, abs=1e-3)
-    assert fast.feed_speed == 0.2

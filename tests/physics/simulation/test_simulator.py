@@ -13,10 +13,10 @@ from probe_env.physics.model.chain import element_blocks
 SCENE = Scene(carrier_length=10.0)
 
 
-def test_defaults_and_shapes():
+def test_defaults_shapes_and_snapshots():
     simulator = Simulator(SCENE)
     assert (simulator.method.name, simulator.time_step, simulator.nodes_per_pitch) == ("newmark", 1e-4, 4)
-    run = simulator.run(0.2)
+    run = simulator.run(0.2, snapshots=(0.0, 0.05, 0.2))
     assert run.points == ("sensor", "tip")
     assert run.time == pytest.approx(np.arange(201) * 1e-3)
     assert run.axial.shape == run.radial.shape == run.rotation.shape == run.tension.shape == (201, 2)
@@ -24,10 +24,24 @@ def test_defaults_and_shapes():
     assert np.abs(run.axial[-1]).min() > 0.0
     assert run.distance_from_tip == pytest.approx([2.5, 0.0])
     assert run.mean_tension.shape == run.position.shape == (500,)
+    shapes = run.shapes
+    assert shapes.time == pytest.approx([0.0, 0.05, 0.2])
+    assert shapes.axial.shape == shapes.radial.shape == (3, 501)
+    assert shapes.tension.shape == (3, 500)
+    assert (shapes.axial[0] == 0.0).all()
+    assert shapes.axial[1, -1] == run.axial[50, 1]  # the tip is last
+    assert shapes.radial[2, 400] == run.radial[-1, 0]  # the sensor at 10 m
+    assert (simulator.tension == shapes.tension[2]).all()
+    # the tension is EA times the elements' stretch, radial displacement included, but for the damping part
+    d = np.stack([shapes.axial[2], shapes.radial[2], shapes.rotation[2]], axis=1)[::-1]
+    head, tail = element_blocks(simulator.chain)
+    stretch = (d[:-1] @ head.T + d[1:] @ tail.T)[::-1, 0]
+    assert np.corrcoef(stretch, shapes.tension[2])[0, 1] > 0.99
 
 
 def test_named_points_are_distances_from_the_tip():
-    run = Simulator(SCENE).run(0.05, points=("tip", "sensor", "root", 0.0, 2.5, 12.5))
+    run = Simulator(SCENE).run(0.05, points=("tip", "sensor", "root", 0.0, 2.5, 12.5), snapshots=(0.05,))
+    assert run.shapes.tension[0, 0] == run.tension[-1, 2]
     assert (run.axial[:, :3] == run.axial[:, 3:]).all()
     assert (run.axial[:, 2] == 0.0).all()
     assert run.column(2.5) == 4
@@ -36,12 +50,15 @@ def test_named_points_are_distances_from_the_tip():
 
 
 @pytest.mark.parametrize("method", ["newmark", "wilson"])
-def test_the_same_run_twice_is_equal_bit_for_bit(method):
-    first, second = (Simulator(SCENE, method).run(0.3) for _ in range(2))
-    assert (first.axial == second.axial).all()
-    simulator = Simulator(SCENE, method)
-    simulator.run(0.1)
-    assert (simulator.run(0.3).radial == first.radial).all()  # run starts afresh
+def test_runs_and_their_pieces_are_equal_bit_for_bit(method):
+    simulator, other = Simulator(SCENE, method), Simulator(SCENE, method)
+    whole = simulator.run(0.3, 2e-3)
+    parts = [other.run(0.1, 2e-3), other.advance(duration=0.2, sample_period=2e-3)]
+    for name in ("axial", "radial"):
+        first, second = (getattr(part, name) for part in parts)
+        assert (np.concatenate([first, second[1:]]) == getattr(whole, name)).all()
+    assert np.concatenate([parts[0].time, parts[1].time[1:]]) == pytest.approx(whole.time)
+    assert (simulator.run(0.3, 2e-3).radial == whole.radial).all()  # run starts afresh
 
 
 @pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda s: pickle.loads(pickle.dumps(s)), Simulator.branch])
@@ -63,34 +80,6 @@ def test_only_declared_attributes_change_with_time():
     simulator.advance(0.4, 0.03, 0.2)
     assert fixed == {name: pickle.dumps(vars(simulator)[name]) for name in vars(simulator) if name in fixed}
     assert set(vars(simulator)) == {*fixed, *Simulator.CHANGING}
-
-
-def test_pieces_equal_the_whole():
-    whole = Simulator(SCENE).run(0.3, 2e-3)
-    simulator = Simulator(SCENE)
-    parts = [simulator.run(0.1, 2e-3), simulator.advance(duration=0.2, sample_period=2e-3)]
-    assert (np.concatenate([parts[0].radial, parts[1].radial[1:]]) == whole.radial).all()
-    assert np.concatenate([parts[0].time, parts[1].time[1:]]) == pytest.approx(whole.time)
-
-
-def test_snapshots_and_tension():
-    simulator = Simulator(SCENE)
-    run = simulator.run(0.2, points=("sensor", "tip", "root"), snapshots=(0.0, 0.05, 0.2))
-    shapes = run.shapes
-    assert shapes is not None
-    assert shapes.time == pytest.approx([0.0, 0.05, 0.2])
-    assert shapes.axial.shape == shapes.radial.shape == (3, 501)
-    assert shapes.tension.shape == (3, 500)
-    assert (shapes.axial[0] == 0.0).all()
-    assert shapes.axial[1, -1] == run.axial[50, 1]  # the tip is last
-    assert shapes.radial[2, 400] == run.radial[-1, 0]  # the sensor at 10 m
-    assert shapes.tension[2, 0] == run.tension[-1, 2]
-    assert (simulator.tension == shapes.tension[2]).all()
-    # the tension is EA times the elements' stretch, radial displacement included, but for the damping part
-    d = np.stack([shapes.axial[2], shapes.radial[2], shapes.rotation[2]], axis=1)[::-1]
-    head, tail = element_blocks(simulator.chain)
-    stretch = (d[:-1] @ head.T + d[1:] @ tail.T)[::-1, 0]
-    assert np.corrcoef(stretch, shapes.tension[2])[0, 1] > 0.99
 
 
 @pytest.mark.processor

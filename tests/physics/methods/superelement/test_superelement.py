@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from oracles.chains import row_of_pieces
 
 from probe_env import Scene, Simulator, SimulatorBatch
 from probe_env.envs.trials import HARDEST
@@ -16,18 +17,6 @@ from probe_env.physics.model.chain import build_chain, linear_part
 STEP = 2e-4
 
 
-def dense(pieces, matrices, tip):
-    """Sum of the pieces' matrices in a row, tip first, the last end held; a row of float and modes a piece."""
-    width = 3 + pieces[0].modes
-    whole = np.zeros((width * len(pieces) + 3,) * 2)
-    for k, matrix in enumerate(matrices):
-        first = k * width
-        own = np.r_[first : first + 3, first + width : first + width + 3, first + 3 : first + width]
-        whole[np.ix_(own, own)] += matrix
-    whole[:3, :3] += tip
-    return whole[:-3, :-3]
-
-
 @pytest.mark.parametrize("per_pitch", [1, 2, 3, 4])
 def test_the_sweeps_solve_the_chain(per_pitch):
     """(M + theta dt tau K) v = r of six whole pitches and a part of one: factors and modes against a dense solution."""
@@ -39,8 +28,8 @@ def test_the_sweeps_solve_the_chain(per_pitch):
     cut = [tables._chosen(piece, own.even, own.odd, weight) for piece in whole]
     pieces = [cut[0]] * 6 + [cut[1]]
     fine = refined(chain, 4, tables.ELEMENTS, 4)
-    tip = 0.5 * np.diag([fine.mass, fine.mass, fine.inertia])
-    A = dense(pieces, [p.mass + weight * p.stiffness for p in pieces], tip)
+    A = row_of_pieces(pieces[0].modes, [p.mass + weight * p.stiffness for p in pieces])
+    A[:3, :3] += 0.5 * np.diag([fine.mass, fine.mass, fine.inertia])
     r = np.random.default_rng(1).normal(size=len(A))
     exact = np.linalg.solve(A, r).reshape(7, -1)
     rows = r.reshape(7, -1)
@@ -106,9 +95,7 @@ def test_the_compliance_in_steps_is_that_of_the_steps():
         for target, matrix in zip(whole, (piece.mass, piece.stiffness), strict=True):
             target[np.ix_(own, own)] += sign[:, None] * matrix * sign
     M, K = whole
-    floats = np.arange(0, len(M), width)
-    K[floats, floats] += 1e5
-    K[floats + 1, floats + 1] += 1e5
+    K += np.diag(np.where(np.arange(len(M)) % width < 2, 1e5, 0.0))
     A = np.linalg.inv(M + theta * STEP * tau * K)
     omega, force = 2.0 * np.pi * 679.0, np.zeros(len(M))
     force[1] = 1.0
@@ -129,23 +116,18 @@ def test_contact_is_fitted_where_the_step_shows():
     chain = build_chain(Scene(), 4)
     fraction = [tables.tables(chain, 4, step).stiffness / 1e5 for step in (2e-4, 1e-4, 5e-5, 2e-5)]
     assert_allclose(fraction, [0.927, 0.977, 0.988, 0.991], atol=2e-3)
-    more = contact.fitted_stiffness(
-        *(tables._piece(linear_part(chain), 4, 16, 4).select_modes(range(m)) for m in (14, 12)), 1e5, 5e-5, 1e-6
-    )
+    pieces = (tables._piece(linear_part(chain), 4, 16, 4).select_modes(range(m)) for m in (14, 12))
+    more = contact.fitted_stiffness(*pieces, 1e5, 5e-5, 1e-6)
     assert more == pytest.approx(1e5, rel=2e-3)
 
 
 def test_modes_are_chosen_by_the_contact():
     """Three on table 2; stiffer contact asks for more, and a probe of a longer pitch too."""
-    modes = {}
-    for name, scene in {
-        "table 2": Scene(), "stiff": Scene(contact={"stiffness": 4e5}), "soft": Scene(contact={"stiffness": 1e4})
-    }.items():  # fmt: skip
-        own = tables.tables(build_chain(scene, 4), 4, 1e-4)
-        modes[name] = (own.even, own.odd)
-    assert modes["table 2"] == modes["soft"] == (2, 1)
-    assert modes["stiff"][0] > 2
-    assert modes["stiff"][1] > 1
+    chains = [build_chain(Scene(contact={"stiffness": k}), 4) for k in (1e4, 1e5, 4e5)]
+    soft, usual, stiff = ((own.even, own.odd) for own in (tables.tables(chain, 4, 1e-4) for chain in chains))
+    assert soft == usual == (2, 1)
+    assert stiff[0] > 2
+    assert stiff[1] > 1
 
 
 @pytest.mark.parametrize(
@@ -168,14 +150,11 @@ def test_unsupported_scenes_are_refused(nodes, change, message):
 def test_lengths_modes_and_calls_change_no_bit():
     """Probes of all fractions of a pitch at the root, growing over it, two with more modes: in a batch as alone."""
     scenes = [Scene(carrier_length=length, probe={"guide_length": 0.5}) for length in (0.5, 1.3, 0.8, 2.0, 0.4)]
-    scenes += [
-        scene.model_copy(update={"contact": Scene(contact={"stiffness": 2.5e5}).contact}) for scene in scenes[:2]
-    ]
+    scenes += [scene.model_copy(update={"contact": {"stiffness": 2.5e5}}) for scene in scenes[:2]]
     method = "superelement"
     options = {"growing": True, "time_lapse": 30.0, "perturbation": 1e-6}
     batch = SimulatorBatch(scenes, method, 1e-4, threads=1, **options)
-    kinds = {METHODS[method].kind(s.constants) for s in batch.simulators}
-    assert len(kinds) == 2
+    assert len({METHODS[method].kind(s.constants) for s in batch.simulators}) == 2
     for speed in (0.2, 0.13):
         batch.advance(speed, None, 0.05)
     for k, own in enumerate(batch.simulators):
@@ -183,18 +162,16 @@ def test_lengths_modes_and_calls_change_no_bit():
         for speed, duration in ((0.2, 0.03), (0.2, 0.02), (0.13, 0.05)):
             alone.advance(speed, None, duration)
         assert alone.root == own.root > alone._start_root + 10
-        for a, b in zip(alone.state, own.state, strict=True):
-            assert (a == b).all()
+        assert all(map(np.array_equal, alone.state, own.state))
 
 
 def test_the_hardest_designs_hold_at_the_environments_step():
     """Lightest and softest probes on the stiffest contact of the contexts: 2e-4 s is known to hold, and it does."""
-    scenes = []
+    scenes, contact = [], {"stiffness": 1.4e5, "friction": 0.25}
     for design in HARDEST:
         probe = design.built.probe()
         length = round(round(5.0 / probe.float_pitch) * probe.float_pitch, 9)
-        contact = {"stiffness": 1.4e5, "friction": 0.25}
-        scenes.append(Scene.model_validate({"carrier_length": length, "probe": probe, "contact": contact}))
+        scenes.append(Scene(carrier_length=length, probe=probe, contact=contact))
         assert METHODS["superelement32"].stable_step(scenes[-1], 4) >= STEP
     batch = SimulatorBatch(scenes, "superelement32", STEP, perturbation=1e-7)
     assert not batch.advance(None, None, 1.0).diverged.any()
@@ -213,6 +190,7 @@ def test_a_growing_probe_follows_the_mesh():
         half = len(run.time) // 2
         ended[name] = np.array([run.axial[half:, 0].mean(), run.tension[half:, 1].mean()])
         assert simulator.inserted_length == pytest.approx(1.6)
+        assert simulator.feed_speed == 0.2  # the true speed
     assert_allclose(ended["own"], ended["mesh"], rtol=0.02)
 
 
@@ -222,8 +200,6 @@ def test_single_precision_keeps_a_long_free_probe():
     60 m without friction, pulled for a tenth of a second; 1e-4 of the displacement is 250 roundings of it.
     """
     scene = Scene(contact={"friction": 0.0}, carrier_length=57.5)
-    tip = [
-        Simulator(scene, method, STEP).run(0.1, points=("tip",)).axial[:, 0]
-        for method in ("superelement", "superelement32")
-    ]
-    assert_allclose(tip[1], tip[0], atol=1e-4 * np.abs(tip[0]).max())
+    runs = (Simulator(scene, method, STEP).run(0.1, points=("tip",)) for method in ("superelement", "superelement32"))
+    double, single = (run.axial for run in runs)
+    assert_allclose(single, double, atol=1e-4 * np.abs(double).max())
