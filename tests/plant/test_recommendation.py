@@ -2,6 +2,7 @@
 
 import itertools
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -48,24 +49,23 @@ def test_the_cheapest_path_is_that_of_all_paths():
     rng = np.random.default_rng(0)
     staged, change = rng.random((6, 4)), rng.random((4, 4))
     staged[3, :3] = np.inf
-    paths = list(itertools.product(range(4), repeat=6))
-    costs = [
-        sum(staged[k, p] for k, p in enumerate(path)) + sum(change[a, b] for a, b in itertools.pairwise(path))
-        for path in paths
-    ]
-    assert cheapest_path(staged, change) == list(paths[int(np.argmin(costs))])
+
+    def cost(path):
+        return sum(staged[k, p] for k, p in enumerate(path)) + sum(change[a, b] for a, b in itertools.pairwise(path))
+
+    assert cheapest_path(staged, change) == list(min(itertools.product(range(4), repeat=6), key=cost))
 
 
 def test_recommended_schedule_fits_the_device():
     """Whole steps within the ranges, to the end of the helix, with the margin of the root tension."""
     config = PLANT.configured()
     optimum = optimal_schedule(TUBES, RESPONSE, config)
-    feed, air = np.array(optimum.schedule.feed_speed), np.array(optimum.schedule.air_supply_rate)
-    assert optimum.schedule.position[-1] == 45.0
-    assert ((feed >= 0.03) & (feed <= 0.35)).all()
-    assert ((air >= 0.0084) & (air <= 0.034)).all()
-    np.testing.assert_allclose(feed / 0.005, np.round(feed / 0.005), atol=1e-9)
-    np.testing.assert_allclose(air / 0.001, np.round(air / 0.001), atol=1e-9)
+    schedule = optimum.schedule
+    assert schedule.position[-1] == 45.0
+    for values, low, high, step in ((schedule.feed_speed, 0.03, 0.35, 0.005),
+                                    (schedule.air_supply_rate, 0.0084, 0.034, 0.001)):  # fmt: skip
+        assert low <= min(values) <= max(values) <= high
+        np.testing.assert_allclose(np.array(values) / step, np.round(np.array(values) / step), atol=1e-9)
     assert optimum.tension >= MARGIN * config.required_tension
 
 
@@ -73,15 +73,14 @@ def test_recommended_schedule_beats_shipped_and_near_ones():
     """No constant change of its feed is expected to be better by more than the price on change could hide."""
     config = Plant().configured()
     schedule = optimal_schedule(TUBES, RESPONSE, config).schedule
-    others = [Schedule.read(DATA / "best-schedule.csv")]
-    for factor in (0.7, 1.4):
-        feed = tuple(np.clip(factor * np.array(schedule.feed_speed), *config.feed_speeds).tolist())
-        others.append(Schedule("inserted_length", "linear", schedule.position, feed, schedule.air_supply_rate))
-    lengths, costs = np.arange(5.5, 60.0), []
-    for other in (schedule, *others):
-        feed, air = (np.asarray(values, dtype=float) for values in other.at(lengths))
-        costs.append(expected_costs(TUBES, RESPONSE, config, Metres(lengths, feed, air, {})).mean())
-    assert costs[0] < min(costs[1:])
+    lengths = np.arange(5.5, 60.0)
+
+    def cost(feed, air):
+        return expected_costs(TUBES, RESPONSE, config, Metres(lengths, feed, air, {})).mean()
+
+    feed, air = schedule.at(lengths)
+    changed = [cost(np.clip(factor * feed, *config.feed_speeds), air) for factor in (0.7, 1.4)]
+    assert cost(feed, air) < min(cost(*Schedule.read(DATA / "best-schedule.csv").at(lengths)), *changed)
     # at 40 m the probe rings with a friction of 0.25 and not with 0.08
     slippery, rough = (
         optimal_schedule([Context(friction=mu)], RESPONSE, config).schedule.at(40.0)[0] for mu in (0.08, 0.25)
@@ -167,11 +166,10 @@ def test_air_is_safe_in_every_tube():
 
 
 def test_a_device_without_safe_air_is_refused():
-    cases = [
+    for update, message in [
         ({"required_tension": 50.0}, "the most air pulls with only .* N in the worst tube, and 75 N are needed"),
         ({"scene": {"probe": {"flexural_rigidity": 0.002}}}, "the least air compresses with .* N; the limit is"),
-    ]
-    for update, message in cases:
+    ]:
         with pytest.raises(ValueError, match=message):
             safe_air(CONFIG.model_copy(update=update), TRAIN.contexts[:6], (0.1, 0.4))
 
@@ -185,50 +183,52 @@ def test_values_outside_the_training_ranges_are_reported():
         assert text in texts
 
 
+@pytest.fixture
+def written(tmp_path, monkeypatch):
+    """The command for a tube's file in the working folder."""
+    monkeypatch.chdir(tmp_path)
+    Path("tube.toml").write_text(TUBE)
+    return ["recommend", "--tube", "tube.toml", "--output", "my.csv"]
+
+
 @pytest.mark.slow
-def test_recommended_schedule_is_compared_in_simulation(tmp_path):
-    """The schedule, and the report with a schedule to compare with, on tubes of the plant."""
-    (tmp_path / "tube.toml").write_text(TUBE)
-    own = tmp_path / "own.csv"
-    own.write_text("inserted_length_m,feed_speed_m_per_s,air_supply_m3_per_h\n5,0.3,63\n24,0.2,63\n")
-    arguments = ["--tube", str(tmp_path / "tube.toml"), "--output", str(tmp_path / "my.csv"), "--limit", "2"]
-    arguments += ["--policy", str(tmp_path / "law.json"), "--fidelity", "fast"]
-    assert main(["recommend", str(own), *arguments]) == 0
-    assert Schedule.read(tmp_path / "my.csv").position[-1] == 24.0
-    episodes = read_csv(tmp_path / "my-confirmed" / "episodes.csv")
+def test_recommended_schedule_is_compared_in_simulation(written):
+    """With one of the user's own, on tubes of the plant."""
+    own = "inserted_length_m,feed_speed_m_per_s,air_supply_m3_per_h\n5,0.3,63\n24,0.2,63\n"
+    Path("own.csv").write_text(own)
+    assert main([*written, "own.csv", "--limit", "2", "--policy", "law.json", "--fidelity", "fast"]) == 0
+    assert Schedule.read("my.csv").position[-1] == 24.0
+    episodes = read_csv(Path("my-confirmed/episodes.csv"))
     assert set(episodes["policy"]) == {"recommended", "recommended-law", "own", "best-schedule", "tension-scheduled"}
     assert (episodes.groupby("policy").size() == 2).all()
-    assert "recommended" in (tmp_path / "my-confirmed" / "report.html").read_text()
+    assert "recommended" in Path("my-confirmed/report.html").read_text()
 
 
-def test_recommendation_without_simulation(tmp_path, capsys):
-    """``--no-simulated``: the schedule and how it was found, and no folder of episodes."""
-    (tmp_path / "tube.toml").write_text(TUBE)
-    arguments = ["--tube", str(tmp_path / "tube.toml"), "--output", str(tmp_path / "my.csv"), "--no-simulated"]
-    assert main(["recommend", *arguments]) == 0
-    assert Schedule.read(tmp_path / "my.csv").position[-1] == 24.0
-    record = json.loads((tmp_path / "my.json").read_text())
+def test_recommendation_without_simulation(written, capsys):
+    """The schedule and how it was found, and no folder of episodes."""
+    arguments = [*written, "--no-simulated"]
+    assert main(arguments) == 0
+    assert Schedule.read("my.csv").position[-1] == 24.0
+    record = json.loads(Path("my.json").read_text())
     assert record["least_root_tension_n"] >= 1.2
     assert record["expected_reward_low"] < record["expected_reward"] < record["expected_reward_high"]
     assert not record["calibrated"]
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["my.csv", "my.json", "tube.toml"]
+    assert sorted(map(str, Path().iterdir())) == ["my.csv", "my.json", "tube.toml"]
     printed = capsys.readouterr().out
     interval = "90 % of 96 samples: {expected_reward_low:.1f} to {expected_reward_high:.1f})".format(**record)
     assert f"expected reward {record['expected_reward']:.1f} ({interval}; drive safe" in printed
     assert "expanding air and weight change best-schedule in the study's tubes by -9.4" in " ".join(printed.split())
     assert "withdrawal" not in printed
-    (tmp_path / "tube.toml").write_text(TUBE + '[task]\npasses = "both"\n')
-    assert main(["recommend", *arguments]) == 0
+    Path("tube.toml").write_text(TUBE + '[task]\npasses = "both"\n')
+    assert main(arguments) == 0
     assert "my is for the insertion; the withdrawal is at the fastest feed" in capsys.readouterr().out
 
 
 @pytest.mark.filterwarnings("ignore:.*the calibration is misspecified")
 @pytest.mark.parametrize("misspecified", [False, True])
-def test_misspecified_calibration_needs_the_option_anyway(misspecified, tmp_path, capsys):
-    (tmp_path / "c.json").write_text(json.dumps({"misspecified": misspecified, "draws": {"friction": [0.12, 0.15]}}))
-    (tmp_path / "tube.toml").write_text(f'posterior = "c.json"\n{TUBE}')
-    tube, output = str(tmp_path / "tube.toml"), tmp_path / "my.csv"
-    arguments = ["--tube", tube, "--output", str(output), "--no-simulated"]
-    assert (main(["recommend", *arguments]) == 0) == output.exists() == (not misspecified)
+def test_misspecified_calibration_needs_the_option_anyway(misspecified, written, capsys):
+    Path("c.json").write_text(json.dumps({"misspecified": misspecified, "draws": {"friction": [0.12, 0.15]}}))
+    Path("tube.toml").write_text(f'posterior = "c.json"\n{TUBE}')
+    assert (main([*written, "--no-simulated"]) == 0) == Path("my.csv").exists() == (not misspecified)
     assert ("tube.toml: posterior: the calibration is misspecified" in capsys.readouterr().err) == misspecified
-    assert main(["recommend", *arguments, "--anyway"]) == 0
+    assert main([*written, "--no-simulated", "--anyway"]) == 0
