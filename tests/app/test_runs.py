@@ -185,8 +185,7 @@ def test_folders_are_numbered_and_never_used_twice(tmp_path):
 def still(feed=0.2, seconds=1.0):
     """A probe that does not vibrate."""
     count = round(seconds / 1e-3)
-    time = 1e-3 * (np.arange(count) + 1 - count)
-    tube = {"sensor": 0, "bore": 0.0242, "helix_length": 60.0}
+    time, tube = 1e-3 * (np.arange(count) + 1 - count), {"sensor": 0, "bore": 0.0242, "helix_length": 60.0}
     signal = {"signal_time": time, "signal_radial": np.zeros(count), "spectrum": np.zeros(len(FREQUENCY))}
     floats = dict.fromkeys(("position", "axial", "radial", "tension", "lever", "outer_gap"), np.zeros(0))
     return ProbeShape(**floats, **tube, **signal, feed_speed=feed, observation={})

@@ -64,9 +64,8 @@ def test_formulas_are_mathml(site):
     assert drawn > 20
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
+def test_requests_to_other_hosts_are_recognized():
+    for text in (
         '<img src="https://example.org/picture.png">',
         '<img srcset="//example.org/picture.png 2x">',
         '<script src="https://example.org/code.js"></script>',
@@ -75,8 +74,6 @@ def test_formulas_are_mathml(site):
         "<style>@import 'https://example.org/style.css';</style>",
         "@font-face { src: url('//example.org/font.woff2'); }",
         '<iframe src="https://example.org"></iframe>',
-    ],
-)
-def test_requests_to_other_hosts_are_recognized(text):
-    assert REQUEST.search(text)
+    ):
+        assert REQUEST.search(text), text
     assert not REQUEST.search('<a href="https://example.org"><img src="a.png"><link rel="icon" href="b.svg">')

@@ -173,7 +173,7 @@ def scheduled(metres, config, context, **ended):
     return repeat_schedule([(segments, intervals_to_repeat(segments, config), context)], config, stored_map())
 
 
-def test_repeated_pass_is_slow_only_where_it_inspects():
+def test_repeated_pass_is_slow_or_has_max_air_only_where_it_must():
     metres = insertion(feed=lambda metre: np.where((metre > 20.0) & (metre < 30.0), 0.4, 0.2), air_supply_rate=0.03)
     schedule = scheduled(metres, CONFIG, Context())
     assert schedule.at([6.0, 18.0, 20.0, 25.0, 29.9, 30.2, 59.0])[0] == pytest.approx(
@@ -184,6 +184,9 @@ def test_repeated_pass_is_slow_only_where_it_inspects():
         assert driven(schedule, CONFIG, 20.0, 22.0, start) <= 0.25 * (1.0 + 1e-6)
     steps = CONFIG.model_copy(update={"feed_speed_step": 0.1})
     assert scheduled(metres, steps, Context()).at(25.0)[0] == pytest.approx(0.2)
+    after_loss = scheduled(insertion(last=42.0), CONFIG, Context(), complete=False, lost_drive=True)
+    maximum = CONFIG.air_supply_rates[1]
+    assert after_loss.at([30.0, 40.6, 59.0])[1] == pytest.approx([0.02, maximum, maximum])
 
 
 def test_a_repeated_pass_is_quiet_where_it_was_loud():
@@ -205,12 +208,6 @@ def test_a_repeated_pass_is_quiet_where_it_was_loud():
     louder = metres | {"radial_rms_m": 2.0 * metres["radial_rms_m"]}
     slower, before = (quiet_feeds(segments_of(m, CONFIG), context, CONFIG, vibration) for m in (louder, metres))
     assert (slower[40:] <= before[40:]).all()
-
-
-def test_repeated_pass_has_max_air_after_lost_drive():
-    schedule = scheduled(insertion(last=42.0), CONFIG, Context(), complete=False, lost_drive=True)
-    maximum = CONFIG.air_supply_rates[1]
-    assert schedule.at([30.0, 40.6, 59.0])[1] == pytest.approx([0.02, maximum, maximum])
 
 
 def test_evaluate_applies_the_permitted_speed(tmp_path, capsys):

@@ -20,8 +20,7 @@ def wandered(heard_before):
 
     ``heard_before``: length [m] over which a segment hears the feed before it.
     """
-    rng, segment = np.random.default_rng(0), SEGMENT["snr"]
-    rows = []
+    rng, segment, rows = np.random.default_rng(0), SEGMENT["snr"], []
     for tube in range(TUBES):
         feeds = 0.04 * 10.0 ** rng.uniform(size=11)
         context = {"friction": 0.1 + 0.005 * tube, "contact_stiffness": 1e5, "drag_factor": 1.0, "helix_diameter": 1.5}
