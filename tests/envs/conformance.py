@@ -97,7 +97,6 @@ def step_of(env, action):
 
 
 def of(step, order):
-    """The step of some of the environments."""
     final = {index: step.final[k] for index, k in enumerate(order) if k in step.final}
     return Step(*(array[order] for array in step[:4]), final)
 

@@ -202,7 +202,6 @@ def test_the_improved_probe_vibrates_less(seeds):
 
 @pytest.mark.parametrize("env_id", ["probe_env/Insertion-v1", "probe_env/Snapshot-v1"])
 def test_random_probes_are_sampled_from_the_design_space_by_seed(env_id):
-    """Within the ranges, different at every reset, reproducible by seed, and the same in a batch."""
     from probe_agents.vec_env import ProbeVecEnv
 
     short = {"settle_time": 0.1} if env_id == "probe_env/Insertion-v1" else {}

@@ -14,7 +14,6 @@ NAMES = ("Insertion-v1", "IncrementalInsertion-v1", "Snapshot-v1", "Inspection-v
 
 
 def fidelities(env_id, **options):
-    """Fidelity of the single environment, of Gymnasium's batch and of SB3's."""
     envs = gym.make(env_id, **options), gym.make_vec(env_id, 2, **options), ProbeVecEnv(env_id, 2, **options)
     return [env.unwrapped.episodes.fidelity for env in envs]
 

@@ -82,11 +82,10 @@ def test_without_noise_it_is_the_map_and_the_closed_form():
     info = step.infos[0]
     assert info["feed_speed"] == pytest.approx(0.2)
     tubes = np.array([[TUBE.friction, TUBE.contact_stiffness, TUBE.drag_factor, TUBE.helix_diameter]])
-    drive = [np.array([info[name]]) for name in ("inserted_length", "feed_speed", "air_supply_rate")]
-    mean = stored_map().predict(*drive, tubes, CONFIG.scene)[0][0]
+    drive = {name: np.array([info[name]]) for name in ("inserted_length", "feed_speed", "air_supply_rate")}
+    mean = stored_map().predict(*drive.values(), tubes, CONFIG.scene)[0][0]
     assert info["radial_rms_m"] == pytest.approx(1e-4 * 10.0**mean)
-    state = dict(zip(("inserted_length", "feed_speed", "air_supply_rate"), drive, strict=True))
-    pulled = sliding_tension(np.array([TUBE.friction]), state | {"helix_diameter": tubes[:, 3]}, CONFIG.scene)
+    pulled = sliding_tension(np.array([TUBE.friction]), drive | {"helix_diameter": tubes[:, 3]}, CONFIG.scene)
     assert info["tension_mean_n"] == pytest.approx(pulled[0] * TUBE.drag_factor)
 
 
@@ -121,7 +120,7 @@ def test_random_field_has_its_deviation_and_correlations():
     rng, field, count = np.random.default_rng(0), RandomField(deviation=0.2, feed=0.3, air=0.003, length=10.0), 20_000
     waves = np.array([field.waves(rng) for _ in range(count)])
 
-    def values(feed: float, air: float, length: float) -> np.ndarray:
+    def values(feed, air, length):
         return field.at(waves, *(np.full(count, value) for value in (feed, air, length)))
 
     here = values(0.2, 0.02, 30.0)

@@ -21,7 +21,6 @@ def started(env_id="probe_env/Insertion-v1", **arguments):
 
 
 def from_scratch(env):
-    """The picture of a new renderer."""
     fresh = Renderer(env.episodes)
     fresh.history, fresh._last_window = env._renderer.history, env._renderer._last_window
     return fresh.picture()

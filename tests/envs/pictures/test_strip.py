@@ -37,7 +37,6 @@ def motion(ringing):
 
 
 def mask(picture, colour):
-    """Pixels that are nearly of a colour."""
     return np.abs(picture - 255.0 * np.array(to_rgb(colour))).max(axis=-1) < 35.0
 
 
@@ -49,7 +48,6 @@ def walls_of(inside):
 
 
 def tube_of(picture, strip):
-    """The part of a picture inside the tube's axes."""
     box = strip._tube.get_window_extent()
     rows = slice(round(600 - box.y1) + 2, round(600 - box.y0) - 2)
     return picture[rows, round(box.x0) + 2 : round(box.x1) - 2]
@@ -127,7 +125,6 @@ def test_walls_and_floats_are_drawn_to_scale(motion):
     edge, floats = strip.edge(0), motion.floats
     assert (edge[:, 1] == 1e3 * motion.radial[0]).all()
     assert np.abs(edge[:, 0] + motion.distance - AXIAL * motion.axial[0]).max() < 1e-12
-    strip.picture(0)
     bars = np.array(strip._floats.get_segments())
     assert bars[:, 1, 1] - bars[:, 0, 1] == pytest.approx(np.where(motion.distance[floats] <= 2.5, 19.0, 18.5))
     assert np.flatnonzero(floats).tolist() == list(range(0, 401, 4))

@@ -14,9 +14,7 @@ CONFIG = TaskConfig(vibration_weight=1.7, time_weight=0.13, air_weight=0.31, pro
 
 
 def test_skipping_a_metre_never_pays():
-    """At any feed and air, with the greatest vibration and the greatest change of action; a metre's reward is the sum
-    of its terms.
-    """
+    """At any feed and air, with the greatest vibration and the greatest change of action."""
     ratio = RNG.uniform(0.0, 2.0 * CONFIG.ratio_cap, N)
     feed, air = RNG.uniform(*CONFIG.feed_speeds, N), RNG.uniform(*CONFIG.air_supply_rates, N)
     squares = task.capped_square(CONFIG, ratio)
@@ -55,7 +53,6 @@ MILD = Context(friction=0.10, contact_stiffness=1.4e5, drag_factor=0.9, helix_di
 
 
 def play(config, feed, air, fidelity="fast"):
-    """Infos of an episode under constant feed and air."""
     episodes, infos = Episodes(1, config, threads=1, fidelity=fidelity), []
     episodes.reset([0], {0: np.random.default_rng(0)}, {0: {"context": MILD}})
     while episodes.running.any():

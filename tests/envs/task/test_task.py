@@ -110,8 +110,10 @@ def test_in_si_units_inverts_observe():
         in_si_units(config, np.zeros((4, 3)))
 
 
-def diverge(monkeypatch):
-    """Make the first simulator of every batch diverge from now on."""
+def test_divergence_ends_an_episode_with_a_finite_observation(monkeypatch):
+    """Without an error, which would stop the training of all environments of a batch."""
+    env = gym.make("probe_env/Snapshot-v1").unwrapped
+    before, _ = env.reset(seed=0)
     advance = SimulatorBatch.advance
 
     def broken(self, *arguments, **options):
@@ -119,28 +121,17 @@ def diverge(monkeypatch):
         return advance(self, *arguments, **options)
 
     monkeypatch.setattr(SimulatorBatch, "advance", broken)
-
-
-def test_divergence_returns_the_last_finite_observation(monkeypatch):
-    env = gym.make("probe_env/Snapshot-v1").unwrapped
-    before, _ = env.reset(seed=0)
-    diverge(monkeypatch)
     observation, reward, terminated, truncated, info = env.step(np.zeros(2, dtype=np.float32))
     assert terminated
     assert not truncated
     assert info["diverged"] is True
-    assert (observation == before).all()
+    assert (observation == before).all()  # the last that was finite
     assert np.isfinite(reward)
     assert info["reward_terms"]["diverged"] == -10.0
     assert info["episode_kpis"]["diverged"] == 1.0
-
-
-def test_divergence_while_settling_ends_the_first_step(monkeypatch):
-    """Without an error, which would stop the training of all environments of a batch."""
+    # while settling: the first step ends the episode
     episodes = Episodes(2, TaskConfig())
-    diverge(monkeypatch)
-    rngs = {k: np.random.default_rng(k) for k in range(2)}
-    observation, infos = episodes.reset([0, 1], rngs)
+    observation, infos = episodes.reset([0, 1], {k: np.random.default_rng(k) for k in range(2)})
     assert np.isfinite(observation).all()
     assert [infos[k]["diverged"] for k in range(2)] == [True, False]
     step = episodes.step(np.zeros((2, 2), dtype=np.float32))

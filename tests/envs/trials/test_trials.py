@@ -159,7 +159,6 @@ SNR = TaskConfig(vibration_measure="snr", vibration_weight=4.0)
 
 @pytest.fixture(scope="module")
 def measures():
-    """One design in a rough and a smooth tube, with both vibration measures."""
     candidates = [Candidate(Design(), Context(friction=mu, helix_diameter=1.2), STUDY_FEED) for mu in (0.1, 0.25)]
     return trials.try_sections(candidates, SNR), trials.try_sections(candidates, TaskConfig())
 
