@@ -15,20 +15,15 @@ from probe_agents.records.atomic import write_atomically
 def test_temporary_file_of_a_dead_process_is_removed(tmp_path):
     ended = subprocess.Popen([sys.executable, "-c", ""])
     ended.wait()
-    here, left = platform.node(), []
-    for name, process, machine in (
-        ("a.csv", ended.pid, here),
-        ("a.csv", os.getppid(), here),  # it may be writing
-        ("a.csv", ended.pid, "another-machine"),
-        ("a.csv.gz", ended.pid, here),
-        ("b.csv", ended.pid, here),
-    ):
-        left.append(tmp_path / f".{name}.{process}@{machine}.x1_y.tmp")
-        left[-1].write_text("half")
+    here, parent = f"{ended.pid}@{platform.node()}", f"{os.getppid()}@{platform.node()}"  # which may be writing
+    kept = {f".{name}.x1_y.tmp" for name in (
+        f"a.csv.{parent}", f"a.csv.{ended.pid}@another-machine", f"a.csv.gz.{here}", f"b.csv.{here}"
+    )}  # fmt: skip
+    for name in (*kept, f".a.csv.{here}.x1_y.tmp"):
+        (tmp_path / name).write_text("half")
     write_atomically(tmp_path / "a.csv", "whole")
     assert (tmp_path / "a.csv").read_text() == "whole"
-    assert [path.exists() for path in left] == [False, True, True, True, True]
-    assert [path.name for path in tmp_path.glob("*.csv")] == ["a.csv"]
+    assert {path.name for path in tmp_path.iterdir()} == kept | {"a.csv"}
 
 
 def test_a_write_that_fails_leaves_the_old_file_and_nothing_else(tmp_path, monkeypatch):

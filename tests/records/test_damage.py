@@ -2,9 +2,11 @@
 
 import io
 import json
+import re
 import shutil
 import warnings
 import zipfile
+from functools import partial
 
 import numpy as np
 import optuna
@@ -17,16 +19,8 @@ from safetensors.numpy import load, save
 
 from probe_agents.cli import main
 from probe_agents.design.compare import Trial
-from probe_agents.evaluation.folder import (
-    EPISODES,
-    PROFILE,
-    Episode,
-    Manifest,
-    ReportSettings,
-    Setting,
-    Unfinished,
-    read_episodes,
-)
+from probe_agents.evaluation import folder
+from probe_agents.evaluation.folder import PROFILE, Episode, read_episodes
 from probe_agents.evaluation.kpis import CORE
 from probe_agents.evaluation.run import evaluate_plan
 from probe_agents.policies.bundle import Description, StoredNetwork, _hash, build_policy, load_bundle, write_bundle
@@ -44,8 +38,9 @@ from probe_env.envs.vibration_map import VibrationMap
 from probe_env.files import FileError
 from probe_env.schedule import Schedule
 
-BINARY = {name: ANYWHERE[name] for name in ("pipe", "folder", "huge", "empty", "binary")}
-LINES = {name: ANYWHERE[name] for name in ("pipe", "folder", "huge", "binary", "utf-16", "NUL")}
+LINES = {name: ANYWHERE[name] for name in ("pipe", "folder", "huge", "binary")}
+BINARY = LINES | {"empty": ANYWHERE["empty"]}
+NOT_EMPTY = {name: damage for name, damage in ANYWHERE.items() if name != "empty"}
 KPI_NAMES = (*CORE, "complete", "lost_drive", "diverged")
 
 
@@ -57,18 +52,14 @@ def cut_off(path):
     path.write_bytes(path.read_bytes()[:-30])
 
 
-# ---- evaluations ----
-
-
 @pytest.fixture(scope="session")
 def evaluation(tmp_path_factory):
     """A finished evaluation with an ``unfinished.json`` that fits it."""
-    folder = tmp_path_factory.mktemp("stored") / "evaluation"
-    plan = make_plan(2, 2, seeds=(0,))
-    evaluate_plan(plan, folder)
-    record = json.loads((folder / "manifest.json").read_text())
-    (folder / "unfinished.json").write_text(json.dumps(record | plan.described()))
-    return folder
+    path, plan = tmp_path_factory.mktemp("stored") / "evaluation", make_plan(2, 2, seeds=(0,))
+    evaluate_plan(plan, path)
+    record = json.loads((path / "manifest.json").read_text())
+    (path / "unfinished.json").write_text(json.dumps(record | plan.described()))
+    return path
 
 
 @pytest.fixture
@@ -112,7 +103,7 @@ def test_journals(stored):
 
     path = stored / "episodes.jsonl"
     assert len(read(path)) == 4
-    assert failures_of(path, {name: LINES[name] for name in ("pipe", "folder", "huge", "binary")}, read) == []
+    assert failures_of(path, LINES, read) == []
     assert failures_of(path, RECORDS, read, "line 2: ") == []
     good = json.dumps({"key": "0123456789abcdef", "kpis": dict.fromkeys(KPI_NAMES, 1.0)})
     path.write_text(f'{good}\n{{"key": "0123456789abcdef", "kpis": {{"reward": 1}}}}\n{good}\n')
@@ -131,18 +122,15 @@ def test_json_files(stored):
             planned | {"episodes": [["", *rest]]},
         ],
     }
-    for file, model in (("setting.json", Setting), ("manifest.json", Manifest), ("unfinished.json", Unfinished),
-                        ("report.json", ReportSettings)):  # fmt: skip
+    models = folder.Setting, folder.Manifest, folder.Unfinished, folder.ReportSettings
+    for file, model in zip(("setting.json", "manifest.json", "unfinished.json", "report.json"), models, strict=True):
         damages = JSON | {str(content): text(json.dumps(content)) for content in others.get(file, ())}
         read_json(stored / file, model)
         assert failures_of(stored / file, damages, lambda path, model=model: read_json(path, model)) == [], file
 
 
 def table_with(change):
-    def damage(path):
-        change(pd.read_parquet(path)).to_parquet(path, index=False)
-
-    return damage
+    return lambda path: change(pd.read_parquet(path)).to_parquet(path, index=False)
 
 
 TABLES = ANYWHERE | {
@@ -159,11 +147,8 @@ TABLES = ANYWHERE | {
 
 
 def test_parquet_tables(stored, monkeypatch):
-    for name, columns in (("episodes", EPISODES), ("profile", PROFILE)):
-
-        def read(path, columns=columns):
-            return read_parquet(path, columns)
-
+    for name, columns in (("episodes", folder.EPISODES), ("profile", PROFILE)):
+        read = partial(read_parquet, columns=columns)
         read(stored / f"{name}.parquet")
         assert failures_of(stored / f"{name}.parquet", TABLES, read) == [], name
     monkeypatch.setattr("probe_agents.records.tables.MAX_ROWS", 3)
@@ -193,18 +178,13 @@ CSV = {
 
 
 def test_csv_tables(tmp_path):
-    path, failures = tmp_path / "front.csv", []
+    path = tmp_path / "front.csv"
     for content, message in CSV.items():
         path.write_text(content)
-        try:
+        with pytest.raises(FileError, match=f"^{re.escape(str(path))}: .*{re.escape(message)}"):
             read_csv(path, CURVE)
-            failures.append((content, "is read"))
-        except FileError as error:
-            failures += [] if str(error).startswith(f"{path}: ") and message in str(error) else [str(error)]
-    assert failures == []
     path.write_text(f"{HEADER}\npi,1,1,1\n")
-    damages = {name: ANYWHERE[name] for name in ANYWHERE if name != "empty"}
-    assert failures_of(path, damages, lambda path: read_csv(path, CURVE)) == []
+    assert failures_of(path, NOT_EMPTY, lambda path: read_csv(path, CURVE)) == []
 
 
 def test_commands_name_the_damaged_file(stored, refused, tmp_path, capsys):
@@ -233,8 +213,6 @@ def test_commands_name_the_damaged_file(stored, refused, tmp_path, capsys):
     refused(run, f"{output / 'setting.json'}: ")
 
 
-# ---- searches ----
-
 SPACE = {"x": optuna.distributions.FloatDistribution(0.0, 1.0)}
 
 
@@ -258,15 +236,13 @@ def test_study_continues_after_a_kill(journal):
 
 def test_searches(journal):
     whole = journal.read_bytes()
-    damages = {name: LINES[name] for name in ("pipe", "folder", "huge", "binary")} | {
+    damages = LINES | {
         "a line of something else": lambda path: path.write_bytes(b'{"a": 1}\n' + whole),
         "another value": lambda path: path.write_bytes(whole.replace(b'"values":[1.0]', b'"values":[2.0]')),
         "no study": lambda path: path.write_bytes(whole.split(b"\n", 1)[1]),
     }
     assert failures_of(journal, damages, lambda path: open_study(path, "known", ["minimize"])) == []
 
-
-# ---- agents ----
 
 WEIGHT = "mlp_extractor.policy_net.0.weight"
 
@@ -391,8 +367,6 @@ def test_maps(tmp_path, monkeypatch):
     monkeypatch.setattr("probe_env.files.MAX_BYTES", 1 << 24)  # a bomb of 32 MiB will do
     assert failures_of(shutil.copy(MAP, tmp_path / "map.npz"), MAPS, VibrationMap.load) == []
 
-
-# ---- scenes and schedules ----
 
 HEAD = "inserted_length_m,feed_speed_m_per_s,air_supply_m3_per_h\n"
 

@@ -1,8 +1,12 @@
 """Folders of results: identity, lock, kills and resuming, checksums. Each command has one test in tests/cli."""
 
+import itertools
 import json
 import random
+import re
 import subprocess
+from contextlib import nullcontext
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -66,28 +70,35 @@ def flips(content, count, seed=0):
         yield bytes(damaged)
 
 
-def outcome(read):
-    """What is read, or the error."""
-    try:
-        return read()
-    except FileError as error:
-        return str(error)
+def refusals(path, count, read, check, place=""):
+    """How many flips are refused by file and place; what is read of the others is checked."""
+    refused = 0
+    for damaged in flips(path.read_bytes(), count):
+        path.write_bytes(damaged)
+        try:
+            good = check(read())
+        except FileError as error:
+            good = str(error).startswith(f"{path}: {place}")
+            refused += 1
+        assert good
+    return refused
 
 
 @pytest.mark.parametrize("point", ["os.fsync", "os.replace"])
 @pytest.mark.parametrize("after", [False, True])
 def test_killed_work_continues_to_the_same_bytes(point, after, finished, tmp_path):
     """Killed at every write: three lines; setting, table and manifest."""
-    whole, number = contents(finished), 1
-    while killed_at(point, number, work, tmp_path / str(number), after=after):
-        lines = tmp_path / str(number) / "rows.jsonl"
-        stored = Journal(lines, Row).read() if lines.exists() else {}
+    whole = contents(finished)
+    for number in itertools.count(1):
+        folder = tmp_path / str(number)
+        if not killed_at(point, number, work, folder, after=after):
+            break
+        stored = Journal(folder / "rows.jsonl", Row).read() if (folder / "rows.jsonl").exists() else {}
         assert all(f'"{key}"'.encode() in whole["rows.jsonl"] for key in stored)
-        work(tmp_path / str(number))
-        assert contents(tmp_path / str(number)) == whole
-        number += 1
+        work(folder)
+        assert contents(folder) == whole
     assert number - 1 == {"os.fsync": 6, "os.replace": 3}[point]
-    assert contents(tmp_path / str(number)) == whole
+    assert contents(folder) == whole
 
 
 @pytest.mark.parametrize(
@@ -125,9 +136,9 @@ def test_another_identity_is_refused_and_nothing_changed(changes, code, message,
     before = contents(tmp_path)
     for name, value in code.items():
         monkeypatch.setattr(result_folder, name, lambda *_, value=value: value)
-    error = outcome(lambda: folder_of(tmp_path, **changes).check("rows.jsonl"))
-    assert isinstance(error, str) == (message != "")
-    assert message == "" or (error.startswith(f"{tmp_path}: ") and message in error)
+    place = f"^{re.escape(str(tmp_path))}: .*{re.escape(message)}"
+    with pytest.raises(FileError, match=place) if message else nullcontext():
+        folder_of(tmp_path, **changes).check("rows.jsonl")
     assert contents(tmp_path) == before
 
 
@@ -164,17 +175,12 @@ def test_a_second_process_is_refused(tmp_path):
 def test_flipped_bits_of_a_journal_are_not_read(finished):
     """A line that is no longer read is simulated again; a flip in the name of the checksum changes no value."""
     path = finished / "rows.jsonl"
-    content, rows, refused = path.read_bytes(), Journal(path, Row).read(), 0
-    for damaged in flips(content, 1500):
-        path.write_bytes(damaged)
-        read = outcome(Journal(path, Row).read)
-        refused += isinstance(read, str)
-        if isinstance(read, str):
-            assert read.startswith(f"{path}: line ")
-        else:
-            assert len(read) >= 2
-            assert all(read[key]["values"] == rows[key]["values"] for key in read)
-    assert refused > 1000
+    rows = Journal(path, Row).read()
+
+    def check(read):
+        return len(read) >= 2 and all(read[key]["values"] == rows[key]["values"] for key in read)
+
+    assert refusals(path, 1500, Journal(path, Row).read, check, "line ") > 1000
 
 
 def test_lines_without_a_checksum_are_read(finished):
@@ -200,38 +206,28 @@ def test_flipped_bits_of_files_in_the_manifest_are_named(finished):
 
 def test_a_damaged_parquet_file_is_named(tmp_path):
     """Also its metadata, which pandas reads as JSON."""
-    path, refused = tmp_path / "table.parquet", 0
+    path = tmp_path / "table.parquet"
     pd.DataFrame({"x": np.arange(20.0), "name": ["a"] * 20}).to_parquet(path, index=False)
-    content = path.read_bytes()
-    for damaged in flips(content, 1500):
-        path.write_bytes(damaged)
-        read = outcome(lambda: read_parquet(path, {"x": "maybe", "name": "name"}))
-        assert isinstance(read, pd.DataFrame) or read.startswith(f"{path}: ")
-        refused += isinstance(read, str)
-    assert refused > 500
+    read = partial(read_parquet, path, {"x": "maybe", "name": "name"})
+    assert refusals(path, 1500, read, lambda table: isinstance(table, pd.DataFrame)) > 500
 
 
 def test_flipped_bits_of_the_journal_of_a_search_are_not_read(tmp_path):
     path, space = tmp_path / "study.jsonl", {"x": optuna.distributions.FloatDistribution(0.0, 1.0)}
 
-    def study():
-        return open_study(path, "known", ["minimize"])
+    study = partial(open_study, path, "known", ["minimize"])
 
     def trials():
         return [(trial.state, trial.value, trial.params) for trial in study().get_trials()]
 
     for value in (1.0, 0.25):
         study().tell(study().ask(space), value)
-    content, whole, refused = path.read_bytes(), trials(), 0
-    for damaged in flips(content, 300):
-        path.write_bytes(damaged)
-        read = outcome(trials)
-        refused += isinstance(read, str)
-        if isinstance(read, str):
-            assert read.startswith(f"{path}: ")
-        else:  # a trial of the last line is repeated
-            assert all(trial in whole for trial in read if trial[0].name == "COMPLETE")
-    assert refused > 200
+    whole = trials()
+
+    def check(read):  # a trial of the last line is repeated
+        return all(trial in whole for trial in read if trial[0].name == "COMPLETE")
+
+    assert refusals(path, 300, trials, check) > 200
 
 
 def test_the_commit_is_that_of_the_code_without_configs(tmp_path, monkeypatch):
@@ -242,13 +238,9 @@ def test_the_commit_is_that_of_the_code_without_configs(tmp_path, monkeypatch):
         identity = ("-c", "user.name=a", "-c", "user.email=a@b.c", "-c", "commit.gpgsign=false")
         subprocess.run(["git", *identity, *arguments], cwd=tmp_path, check=True, capture_output=True)
 
-    def write(name, text):
-        path = tmp_path / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text)
-
     def change(name, text="b", commit=False):
-        write(name, text)
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(text)
         if commit:
             git("add", ".")
             git("commit", "-m", name)
@@ -257,7 +249,7 @@ def test_the_commit_is_that_of_the_code_without_configs(tmp_path, monkeypatch):
     assert manifest.commit.__wrapped__() == "unknown"
     git("init")
     example, code = "configs/schedules/example.csv", "probe_env/scene.py"
-    write(example, "a")
+    change(example, "a", commit=True)
     first = change(code, "a", commit=True)
     assert len(first) == 12
     assert change(example) == first

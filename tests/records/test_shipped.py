@@ -16,13 +16,9 @@ ROOT = Path(__file__).parents[2]
 def installed(tmp_path, monkeypatch):
     """The folder of a package as it is installed, with little in it."""
     package = tmp_path / "site" / "agents" / "probe_agents"
-    for source, target in (
-        ("results/agents/ppo/seed-0/agent.safetensors", "agents/ppo/seed-0/agent.safetensors"),
-        ("results/agents/ppo/seed-3/agent.safetensors", "agents/ppo/seed-3/agent.safetensors"),
-        ("configs/scenes/fig11_l10.toml", "scenes/fig11_l10.toml"),
-        ("configs/schedules/example.csv", "schedules/example.csv"),
-    ):
-        place = package / "shipped" / target
+    agents = (f"results/agents/ppo/seed-{seed}/agent.safetensors" for seed in (0, 3))
+    for source in (*agents, "configs/scenes/fig11_l10.toml", "configs/schedules/example.csv"):
+        place = package / "shipped" / source.removeprefix("results/").removeprefix("configs/")
         place.parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(ROOT / source, place)
     monkeypatch.setattr(shipped, "PACKAGE", package)
@@ -30,12 +26,8 @@ def installed(tmp_path, monkeypatch):
 
 
 def test_a_checkout_ships_what_it_holds():
-    assert shipped_agents() == {
-        "both-ways": (0, 1, 2),
-        "ppo": (0, 1, 2, 3, 4),
-        "ppo-any-probe": (0, 1, 2),
-        "student": (0, 1, 2, 3, 4),
-    }
+    three, five = (0, 1, 2), (0, 1, 2, 3, 4)
+    assert shipped_agents() == {"both-ways": three, "ppo": five, "ppo-any-probe": three, "student": five}
     assert all(shipped.DEFAULT_SEED in seeds for seeds in shipped_agents().values())
     names = [*NAMES, *shipped_agents(), *shipped_names("schedules")]
     assert len(set(names)) == len(names)  # none stands for two policies
