@@ -180,10 +180,9 @@ def test_a_dragged_flaw_stays_within_the_last_second(page):
     flaw.flaw.data = {"time": [-0.3], "at": [2.0]}
     assert flaw.before.value == pytest.approx(0.3)
     assert flaw.flaw.data == {"time": [-0.3], "at": [0.0]}
-    flaw.flaw.data = {"time": [0.4], "at": [0.0]}
-    assert flaw.flaw.data["time"] == [0.0]
-    flaw.flaw.data = {"time": [], "at": []}
-    assert flaw.flaw.data["at"] == [0.0]
+    for forged, name in (({"time": [0.4], "at": [0.0]}, "time"), ({"time": [], "at": []}, "at")):
+        flaw.flaw.data = forged
+        assert flaw.flaw.data[name] == [0.0]
 
 
 def test_design_comparison_equals_that_of_the_command(page, tmp_path):

@@ -167,8 +167,7 @@ def test_a_signal_ends_the_idle_server_which_prints_nothing(number, tmp_path, mo
     queue = SimpleNamespace(runs=(), changes=0, close=lambda: closed.append(True))
     monkeypatch.setattr("probe_agents.app.server.RunQueue", lambda: queue)
     monkeypatch.setattr("webbrowser.open", lambda _: threading.Timer(0.3, os.kill, (os.getpid(), number)).start())
-    loop = asyncio.new_event_loop()
-    asyncio.set_event_loop(loop)
+    asyncio.set_event_loop(loop := asyncio.new_event_loop())
     assert main(["app", "--port", "0", "--output", str(tmp_path)]) == 0
     loop.close()
     printed = capsys.readouterr()

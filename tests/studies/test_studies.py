@@ -165,10 +165,8 @@ def test_fields_change_what_they_say(tmp_path):
     assert columns["probe"].tolist() == ["scene"] * 5 + ["improved", "scene"]
     assert columns["fidelity"].tolist() == ["fast"] * 6 + ["standard"]
     assert columns["fidelity.time_step"].tolist() == [2e-4] * 4 + [1e-4, 2e-4, 2e-4]
-    for setting in settings:
-        (policy,) = setting.plan.policies.values()
-        assert isinstance(policy, PI)
-        assert policy.config == usual
+    played = [policy for setting in settings for policy in setting.plan.policies.values()]
+    assert [(type(policy), policy.config == usual) for policy in played] == [(PI, True)] * 7
     assert settings[0].plan.contexts == load_contexts("test")[:1]
 
 
