@@ -24,8 +24,7 @@ IMPROVED = Design.from_toml(ROOT / "configs" / "design" / "improved.toml")
 
 def test_shipped_designs_are_the_study_s_probes():
     assert Design.from_toml(ROOT / "configs" / "design" / "original.toml") == Design()
-    improved = Scene.from_toml(ROOT / "configs" / "scenes" / "fig20_improved.toml").probe
-    assert IMPROVED.probe() == improved
+    assert IMPROVED.probe() == Scene.from_toml(ROOT / "configs" / "scenes" / "fig20_improved.toml").probe
     assert Design().probe() == Scene().probe
 
 

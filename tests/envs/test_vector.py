@@ -20,32 +20,20 @@ CASES = {
         "fidelity": "fast",
     },
 }
-IDS = pytest.mark.parametrize("env_id", list(CASES))
 
 
 def single(env_id):
     return lambda: gym.make(env_id, **CASES[env_id])
 
 
-LIMITS = pytest.mark.parametrize("limit", [{}, {"max_episode_steps": 3}], ids=["", "three steps"])  # the task's: five
-
-
-@IDS
-@LIMITS
-@pytest.mark.parametrize("mode", list(AutoresetMode))
-def test_the_native_batch_conforms(env_id, mode, limit):
+@pytest.mark.parametrize("env_id", CASES)
+@pytest.mark.parametrize("limit", [{}, {"max_episode_steps": 3}], ids=["", "three steps"])  # the task's: five
+@pytest.mark.parametrize(
+    ("make", "mode"), [*((gym.make_vec, {"autoreset_mode": mode}) for mode in AutoresetMode), (ProbeVecEnv, {})]
+)
+def test_batches_conform(env_id, make, mode, limit):
     settings = CASES[env_id] | limit
-    check_vector_env(
-        lambda n: gym.make_vec(env_id, num_envs=n, **settings, autoreset_mode=mode),
-        lambda: gym.make(env_id, **settings),
-    )
-
-
-@IDS
-@LIMITS
-def test_the_sb3_batch_conforms(env_id, limit):
-    settings = CASES[env_id] | limit
-    check_vector_env(lambda n: ProbeVecEnv(env_id, n, **settings), lambda: gym.make(env_id, **settings))
+    check_vector_env(lambda n: make(env_id, n, **settings, **mode), lambda: gym.make(env_id, **settings))
 
 
 class Broken(ProbeVecEnv):

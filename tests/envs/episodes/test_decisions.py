@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 from stable_baselines3 import PPO
 
-import probe_env  # noqa: F401
 from probe_agents.policies.bundle import from_sb3, load_bundle, save_bundle
 from probe_agents.vec_env import ProbeVecEnv
 from probe_env import TaskConfig
@@ -83,14 +82,10 @@ def test_agent_acts_in_evaluations_as_in_its_environment(tmp_path):
     train = ProbeVecEnv("probe_env/IncrementalInsertion-v1", 2, fidelity="surrogate")
     model = PPO("MlpPolicy", train, n_steps=16, batch_size=16, n_epochs=1, device="cpu", seed=0).learn(32)
     save_bundle(tmp_path / "a.safetensors", model, train.config)
-    config = TaskConfig()
-    agents = from_sb3(model, train.config), load_bundle(tmp_path / "a.safetensors", config)
-    env, single = (
-        gym.make(f"probe_env/{name}-v1", fidelity="surrogate") for name in ("IncrementalInsertion", "Insertion")
-    )
-    for agent in agents:
-        observation, _ = env.reset(seed=3, options=TUBE)
-        row, _ = single.reset(seed=3, options=TUBE)
+    env = gym.make("probe_env/IncrementalInsertion-v1", fidelity="surrogate")
+    single = gym.make("probe_env/Insertion-v1", fidelity="surrogate")
+    for agent in (from_sb3(model, train.config), load_bundle(tmp_path / "a.safetensors", TaskConfig())):
+        (observation, _), (row, _) = (each.reset(seed=3, options=TUBE) for each in (env, single))
         state = None
         for _ in range(40):
             action, _ = model.predict(observation, deterministic=True)

@@ -44,10 +44,7 @@ def test_tubes_are_joint_draws(folder):
     assert plant.scene.probe.damping_time == pytest.approx(np.median(DRAWS["damping_time"]))
     factors = np.array([t.drag_factor for t in tubes]) * plant.scene.air.drag_coefficient
     assert set(np.round(factors, 3)) <= {round(v + d, 3) for v in DRAWS["drag_coefficient"] for d in (-1e-3, 0.0, 1e-3)}
-
-
-def test_draws_are_part_of_the_plant(folder):
-    plant = plant_of_text(folder, 'posterior = "calibration.json"')
+    # draws are stored with the plant
     assert Plant.model_validate(json.loads(plant.model_dump_json())) == plant
     _, info = gym.make("probe_env/Insertion-v1", tube=plant, fidelity="fast").reset(seed=2)
     assert info["context"]["friction"] in np.round(FRICTION, 4)

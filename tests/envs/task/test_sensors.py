@@ -39,26 +39,20 @@ def test_noise_has_the_standard_deviation_of_the_task():
         assert (clipped[:, columns.index("root_tension")] == observed).all()
 
 
-def test_contexts_are_sampled_from_a_custom_list():
+def test_contexts_are_sampled_from_lists_and_ranges():
     listed = [Context(friction=0.2), {"friction": 0.3, "helix_diameter": 1.9}]
     env = gym.make("probe_env/Insertion-v1", config=SHORT, contexts=listed)
     samples = {env.reset(seed=seed)[1]["context"]["friction"] for seed in range(12)}
     assert samples == {0.2, 0.3}  # a chance of 2^-11 to miss one, with these seeds it does not
     assert checked_contexts(listed)[1].helix_diameter == 1.9
-
-
-def test_contexts_are_sampled_from_ranges():
     rng, same = np.random.default_rng(5), np.random.default_rng(5)
     ranges = {"friction": (0.3, 0.35), "helix_diameter": 1.9, "drag_factor": [0.8, 1.0, 1.2]}
-    plain, samples = draw_context(same), sample_context(ranges, rng, {})
-    assert 0.3 <= samples.friction <= 0.35
-    assert samples.helix_diameter == 1.9
-    assert samples.drag_factor in (0.8, 1.0, 1.2)
-    assert samples.contact_stiffness == plain.contact_stiffness
-    assert (samples.friction - 0.3) / 0.05 == pytest.approx((plain.friction - 0.1) / 0.15)
-
-
-def test_the_sampler_knows_the_stiffest_contact_of_its_contexts():
+    plain, sample = draw_context(same), sample_context(ranges, rng, {})
+    assert 0.3 <= sample.friction <= 0.35
+    assert sample.helix_diameter == 1.9
+    assert sample.drag_factor in (0.8, 1.0, 1.2)
+    assert sample.contact_stiffness == plain.contact_stiffness
+    assert (sample.friction - 0.3) / 0.05 == pytest.approx((plain.friction - 0.1) / 0.15)
     assert Ranges(contact_stiffness=(1e5, 3e6)).stiffest == 3e6
     for contexts in ({"contact_stiffness": (1e5, 1.8e5)}, [{"contact_stiffness": 1.8e5}, {"friction": 0.2}]):
         env = gym.make("probe_env/Insertion-v1", contexts=contexts).unwrapped
