@@ -36,9 +36,9 @@ def test_a_bend_divides_or_multiplies_as_a_capstan_does(direction):
     for angle in (0.5 * math.pi, 3.0):
         route = (Segment(length=0.5 * angle, bend_radius=0.5), HELIX)
         forces = route_forces(route, scene, drag=lambda air, behind: 1e3 * (behind < 10.0))
-        friction = scene.contact.friction * (1.0 - 0.019 / 2.0 / 0.5)
+        exponent = -direction * angle * scene.contact.friction * (1.0 - 0.019 / 2.0 / 0.5)
         assert forces.root[-1] == pytest.approx(1e4, rel=1e-3)
-        assert forces.feed[-1] == pytest.approx(forces.root[-1] * math.exp(-direction * friction * angle), rel=1e-5)
+        assert forces.feed[-1] == pytest.approx(forces.root[-1] * math.exp(exponent), rel=1e-5)
 
 
 @pytest.mark.parametrize("slope", [90.0, 30.0])
