@@ -22,6 +22,7 @@ PLACE = """([chart, source, x, y]) => {
     const box = view.canvas_view.el.getBoundingClientRect();
     return [box.left + view.frame.x_scale.compute(data[x][0]), box.top + view.frame.y_scale.compute(data[y][0])];
 }"""
+POINTS = "Bokeh.documents[0].get_model_by_name('points').data"
 FEED = "feed_speed_m_per_s"
 FIRST_POINT = (FEED, "points", "inserted_length_m", FEED)
 
@@ -36,8 +37,7 @@ def expected(page):
 
 
 def points(page):
-    data = "Object.entries(Bokeh.documents[0].get_model_by_name('points').data)"
-    return page.evaluate(f"Object.fromEntries({data}.map(([name, values]) => [name, Array.from(values)]))")
+    return page.evaluate(f"Object.fromEntries(Object.entries({POINTS}).map(([name, values]) => [name, [...values]]))")
 
 
 def seconds(status):
@@ -100,8 +100,7 @@ def test_dragging_a_point_changes_the_prediction_while_it_moves(page):
     assert during > before  # slower takes longer, and the button is still down
     page.mouse.move(x, y + 45, steps=2)
     page.mouse.up()
-    moved_by = "(feed) => Bokeh.documents[0].get_model_by_name('points').data.feed_speed_m_per_s[0] < feed"
-    page.wait_for_function(moved_by, arg=at[FEED][0] - 1e-3)
+    page.wait_for_function(f"(feed) => {POINTS}.{FEED}[0] < feed", arg=at[FEED][0] - 1e-3)
     moved = points(page)
     assert moved[FEED][1:] == at[FEED][1:]
     assert moved["air_supply_m3_per_h"] == at["air_supply_m3_per_h"]
@@ -112,10 +111,8 @@ def test_a_tap_adds_a_point_to_both_charts(page):
     before = points(page)
     x, y = position(page, *FIRST_POINT)
     page.mouse.click(x + 60, y + 40)
-    added = "(n) => Bokeh.documents[0].get_model_by_name('points').data.inserted_length_m.length == n"
-    page.wait_for_function(added, arg=len(before[FEED]) + 1)
-    filled = "() => Math.min(...Bokeh.documents[0].get_model_by_name('points').data.air_supply_m3_per_h) > 0"
-    page.wait_for_function(filled)
+    page.wait_for_function(f"(n) => {POINTS}.inserted_length_m.length == n", arg=len(before[FEED]) + 1)
+    page.wait_for_function(f"() => Math.min(...{POINTS}.air_supply_m3_per_h) > 0")
     after = points(page)
     assert after["inserted_length_m"] == sorted(after["inserted_length_m"])
 
@@ -204,7 +201,7 @@ def test_files_of_the_computer_are_opened_and_downloaded(page, tmp_path):
     text = "# interpolation: steps\ninserted_length_m,feed_speed_m_per_s,air_supply_m3_per_h\n5.0,0.125,75.0\n"
     (tmp_path / "chosen.csv").write_text(text)
     page.locator("input[accept='.csv,.toml,.xlsx']").set_input_files(tmp_path / "chosen.csv")
-    page.wait_for_function(f"Bokeh.documents[0].get_model_by_name('points').data.{FEED}[0] == 0.125")
+    page.wait_for_function(f"{POINTS}.{FEED}[0] == 0.125")
     assert downloaded(page) == ("chosen.csv", text)
     screen(page, 1)
     (tmp_path / "plant.toml").write_text("[tube]\ninner_diameter = 0.0231\nhelix_length = 7.0\n")
@@ -218,7 +215,7 @@ def test_two_browsers_share_runs_but_not_schedules(browser, app):
     with opened(browser, app) as one, opened(browser, app) as other:
         before = points(other)
         fill(one, "open a schedule", "best-schedule")
-        one.wait_for_function("() => Bokeh.documents[0].get_model_by_name('points').data.inserted_length_m.length > 8")
+        one.wait_for_function(f"() => {POINTS}.inserted_length_m.length > 8")
         assert points(other) == before
         finish(one, start(one))
         newest = max(path.name for path in app.output.glob("*-my-*"))
