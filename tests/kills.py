@@ -1,6 +1,7 @@
 """Stops and kills work at a defined point: at the n-th call of a function, or when a file is stored."""
 
 import importlib
+import itertools
 import multiprocessing
 import os
 import signal
@@ -55,15 +56,14 @@ def _run(point: str, number: int, after: bool, work: Callable[..., Any], argumen
         owner = importlib.import_module(module)
     except ModuleNotFoundError:  # a method
         owner = getattr(importlib.import_module(module.rsplit(".", 1)[0]), module.rsplit(".", 1)[1])
-    function, calls = getattr(owner, name), 0
+    function, calls = getattr(owner, name), itertools.count(1)
 
     def counted(*given: Any, **named: Any) -> Any:
-        nonlocal calls
-        calls += 1
-        if calls == number and not after:
+        here = next(calls) == number
+        if here and not after:
             kill()
         result = function(*given, **named)
-        if calls == number:
+        if here:
             kill()
         return result
 
@@ -73,27 +73,23 @@ def _run(point: str, number: int, after: bool, work: Callable[..., Any], argumen
 
 def hook_sync(name, count, action, patch=None):
     """Call ``action`` after the ``count``-th line of a file of this name is on the disk; ``patch``: a monkeypatch."""
-    original, calls = os.fsync, []
+    original, calls = os.fsync, itertools.count(1)
 
     def fsync(descriptor):
         original(descriptor)
-        if Path(os.readlink(f"/proc/self/fd/{descriptor}")).name == name:
-            calls.append(name)
-            if len(calls) == count:
-                action()
+        if Path(os.readlink(f"/proc/self/fd/{descriptor}")).name == name and next(calls) == count:
+            action()
 
     patch.setattr(os, "fsync", fsync) if patch else setattr(os, "fsync", fsync)
 
 
 def hook_replace(name, count, action, patch=None):
     """Call ``action`` when a file of this name is about to be put in its place for the ``count``-th time."""
-    original, calls = os.replace, []
+    original, calls = os.replace, itertools.count(1)
 
     def replace(source, target):
-        if Path(target).name == name:
-            calls.append(name)
-            if len(calls) == count:
-                action()
+        if Path(target).name == name and next(calls) == count:
+            action()
         original(source, target)
 
     patch.setattr(os, "replace", replace) if patch else setattr(os, "replace", replace)

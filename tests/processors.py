@@ -40,8 +40,7 @@ def configurations() -> dict[str, tuple[dict[str, str], int]]:
 
 def run(name: str, variables: dict[str, str], shift: int, output: Path, options: list[str]) -> tuple[int, str, float]:
     """Exit status of pytest, its last line and what was chosen, and minutes; all that it said is in ``output``."""
-    begin, slug = time.monotonic(), re.sub(r"\W+", "-", name)
-    environment = os.environ | variables
+    begin, slug, environment = time.monotonic(), re.sub(r"\W+", "-", name), os.environ | variables
     if variables:  # kernels of another processor must not lie beside those of this one
         environment["NUMBA_CACHE_DIR"] = str(output / slug)
         subprocess.run([sys.executable, "-m", "probe_env.compile_kernels"], cwd=ROOT, env=environment, check=True)

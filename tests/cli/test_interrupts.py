@@ -10,17 +10,16 @@ from pathlib import Path
 import pandas as pd
 import pytest
 from kills import hook_replace, hook_sync
+from plans import CONFIG
 
 from probe_agents.cli import main
 from probe_agents.evaluation.plan import Plan, run_plan
 from probe_agents.policies.fixed import Constant
 from probe_env import load_contexts
-from probe_env.envs.task import TaskConfig
 
 ROOT = Path(__file__).parents[2]
 SCENE = str(ROOT / "configs" / "scenes" / "fig11_l10.toml")
 BRIEF = ["--duration", "0.3", "--statistics-from", "0.1", "--output"]
-CONFIG = TaskConfig(growing=False, period=0.1, time_limit=0.3, settle_time=0.1)
 STATUS = {signal.SIGINT: 130, signal.SIGTERM: 143, signal.SIGHUP: 129}
 
 
@@ -44,16 +43,14 @@ def test_interrupted_evaluation_reports_and_continues(number, jobs, tmp_path, ca
     arguments = ["evaluate", "constant", "pi", "--limit", "3", "--jobs", str(jobs), "--output", str(output)]
     hook_sync("episodes.jsonl", 4, signalling(number), monkeypatch)
     assert main(arguments) == STATUS[number]
-    expected = f"probe-env: interrupted: 4 of 6 episodes are stored in {output}; the same command continues"
-    assert last_line(capsys) == expected
+    stored = f"4 of 6 episodes are stored in {output}; the same command continues"
+    assert last_line(capsys) == f"probe-env: interrupted: {stored}"
     assert len((output / "episodes.jsonl").read_bytes().splitlines()) == 4
     assert [signal.getsignal(n) for n in STATUS] == handlers
     assert main(arguments) == 0
     assert f"2 of 6 episodes to do, stored in {output} one by one" in capsys.readouterr().err
-    plan = Plan(
-        {"constant": Constant(CONFIG.full_observation)}, load_contexts("test")[0:1], (0,), CONFIG.full_observation
-    )
-    table = pd.read_parquet(output / "episodes.parquet")
+    config, table = CONFIG.full_observation, pd.read_parquet(output / "episodes.parquet")
+    plan = Plan({"constant": Constant(config)}, load_contexts("test")[0:1], (0,), config)
     assert len(table) == 6
     first = table[(table["policy"] == "constant") & (table["context"] == 0)]
     assert first["reward"].tolist() == run_plan(plan, None)["reward"].tolist()

@@ -340,7 +340,6 @@ def test_a_log_without_air_is_refused_by_file_column_and_value(tmp_path):
     for switched_off, at in ((0, 5.5), (50, 20.5)):  # the first metre in which the air is off throughout
         rows = [f"{k};{5 + 0.3 * k:.1f};{63 * (k < switched_off)};5" for k in range(100)]
         path.write_text("\n".join([head, *rows]))
-        with pytest.raises(FileError) as caught:
+        place = f"^{path}: air_supply = 0 m3/h at an inserted length of {at} m: .*faster than the feed"
+        with pytest.raises(FileError, match=place):
             read_cases([path], Plant(), (1.0,), (), ())
-        assert str(caught.value).startswith(f"{path}: air_supply = 0 m3/h at an inserted length of {at} m: ")
-        assert "faster than the feed" in str(caught.value)

@@ -2,6 +2,7 @@
 
 import io
 import os
+import re
 import struct
 import zipfile
 from datetime import datetime, time, timedelta
@@ -362,10 +363,8 @@ RAMP = pytest.approx([2.0, 2.1, 2.2, 2.3, 2.4, 2.5, 2.6, 2.7])
 
 def test_markers_of_missing_values_are_interpolated_and_counted(tmp_path):
     path = tmp_path / "rig.csv"
-    for marker in (
-        "-999.25", "-9999", "9999", "-999", "-7999", "6999", "-888.88", "32767", "9.9E+37", "1.#QNAN", "-1.#IND",
-        "-nan(ind)", "NAN",
-    ):  # fmt: skip
+    markers = "-999.25 -9999 9999 -999 -7999 6999 -888.88 32767 9.9E+37 1.#QNAN -1.#IND -nan(ind) NAN"
+    for marker in markers.split():
         for cells in ([marker, "2.4"], [marker, marker]):
             log = read_log(rig(path, [*TENSIONS[:3], *cells, *TENSIONS[5:]]))
             assert log.measured["root_tension"] == RAMP, marker
@@ -476,11 +475,10 @@ def test_invalid_times_are_refused(tmp_path):
         log = read_log(rig(path, TENSIONS, times=[f"{origin + t / 86_400:.9f}" for t in seconds], time="Time"))
         assert log.time == pytest.approx(list(seconds), abs=1e-4)
         assert "is read as serial days" in log.notes[0]
-    hours = [f"{9.5 + t / 3600:.7f}" for t in seconds]
+    rig(path, TENSIONS, times=[f"{9.5 + t / 3600:.7f}" for t in seconds], time="Time")
     with pytest.raises(FileError, match=r"without a unit, rows are less.*--columns 'time=time\[UNIT\]'"):
-        read_log(rig(path, TENSIONS, times=hours, time="Time"))
-    log = read_log(path, ("Time=time[h]",))
-    assert log.time == pytest.approx(list(seconds), abs=1e-3)
+        read_log(path)
+    assert read_log(path, ("Time=time[h]",)).time == pytest.approx(list(seconds), abs=1e-3)
     with pytest.raises(FileError, match="less than 1 s"):
         read_log(rig(path, TENSIONS, times=[f"{45_720 + t / 86_400:.9f}" for t in seconds], time="Time [s]"))
     apart = r"rows are 1000 s apart or more, .*is the unit of time right\? .*'time=time\[UNIT"
@@ -495,11 +493,12 @@ def test_invalid_times_are_refused(tmp_path):
 
 def test_a_wrong_unit_is_not_repaired_by_declaring_another(tmp_path):
     path = rig(tmp_path / "rig.csv", TENSIONS, head="tension [V]")
-    wrong = "'V' is not a unit of root_tension - convert the column to N in the file, or leave it out, "
+    wrong = (
+        "column 'tension [V]': 'V' is not a unit of root_tension - convert the column to N in the file, or leave it out"
+    )
     for columns in ((), ("tension=root_tension[N]",)):
-        with pytest.raises(FileError) as caught:
+        with pytest.raises(FileError, match=re.escape(f"{wrong}, --columns 'tension=none'") + "$"):
             read_log(path, columns)
-        assert str(caught.value).endswith(f"column 'tension [V]': {wrong}--columns 'tension=none'")
     assert "root_tension" not in read_log(path, ("tension=none",)).measured
     for unit in ("%", "°C", "1/min", "rpm", "bar", "RPM", "PSI", "LBS"):
         with pytest.raises(FileError, match=f"'{unit}' is not a unit of root_tension - convert the column to N"):
@@ -539,14 +538,13 @@ def test_invalid_columns_and_bounds_are_refused(tmp_path):
         ("feed=feed_speed", "feed=rf_noise_rms"): "column 'feed' is named twice in --columns",
         ("feed=feed_speed[kg]",): "column 'feed [m/s]': 'kg' is not a unit of feed_speed",
     }.items():
-        with pytest.raises(ValueError) as caught:  # noqa: PT011 (the message is compared below)
+        with pytest.raises(ValueError, match=re.escape(message)):
             read_log(path, columns)
-        assert message in str(caught.value)
-    for name, value, problem in (
-        ("gap", 0.0, "gap = 0.0 s is outside the accepted range 0.001 to 3600 s"),
-        ("every", 6.0, "every = 6 s is more than gap = 5 s"),
-        ("tolerance", float("nan"), "tolerance = nan m is outside the accepted range 1e-05 to 0.1 m"),
-        ("backward", -1.0, "backward = -1.0 m is outside the accepted range 0 to 1 m"),
+    for bounds, problem in (
+        ({"gap": 0.0}, "gap = 0.0 s is outside the accepted range 0.001 to 3600 s"),
+        ({"every": 6.0}, "every = 6 s is more than gap = 5 s"),
+        ({"tolerance": float("nan")}, "tolerance = nan m is outside the accepted range 1e-05 to 0.1 m"),
+        ({"backward": -1.0}, "backward = -1.0 m is outside the accepted range 0 to 1 m"),
     ):
         with pytest.raises(ValueError, match=problem):
-            Bounds(**{name: value})
+            Bounds(**bounds)

@@ -137,10 +137,9 @@ def test_repairs_of_a_log_are_counted(tmp_path):
         "0;5.00;60;3\n1;5.10;60;3\n1;5.12;66;4\n;5.15;60;3\n2;5.22;;3\n3;5.30;66;3\n4;5.295;66;3\n7;5.60;66;n/a\n8;5.7;66;3\n"
     )
     log = read_log(path)
-    repairs = log.repairs
-    assert (repairs.rows, repairs.untimed, repairs.duplicates, repairs.missing) == (9, 1, 1, 2)
-    assert (repairs.gaps, repairs.max_gap) == (1, 3.0)
-    assert (repairs.backward, repairs.max_backward) == (1, pytest.approx(0.005))
+    counts = {"rows": 9, "untimed": 1, "duplicates": 1, "missing": 2, "gaps": 1, "max_gap": 3.0, "backward": 1}
+    assert log.repairs == replace(log.repairs, **counts)
+    assert log.repairs.max_backward == pytest.approx(0.005)
     length, air = (dict(zip(log.time, values, strict=True)) for values in (log.inserted_length, log.air_supply_rate))
     assert (length[1.0], 3600.0 * air[1.0], length[2.0], 3600.0 * air[2.0]) == pytest.approx((5.11, 63.0, 5.22, 64.5))
     assert length[3.0] == pytest.approx(5.2975, abs=TOLERANCE)
@@ -159,8 +158,7 @@ def test_speed_is_integrated_or_compared_with_the_encoder(tmp_path):
     log = read_log(path)
     assert log.inserted_length == pytest.approx(5.0 + 0.2 * log.time, abs=TOLERANCE)
     (note,) = log.notes
-    assert "The speed column and the encoder disagree" in note
-    assert note.endswith("the encoder is used.")
+    assert re.search(r"The speed column and the encoder disagree.*the encoder is used\.$", note)
 
 
 def test_channels_are_averaged_over_their_interval(tmp_path):
