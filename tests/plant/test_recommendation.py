@@ -8,18 +8,9 @@ import numpy as np
 import pytest
 
 from probe_agents.cli import main
+from probe_agents.plant import recommendation
 from probe_agents.plant.plc_export import recipe_of
-from probe_agents.plant.recommendation import (
-    MARGIN,
-    cheapest_path,
-    expected_costs,
-    min_root_tension,
-    optimal_schedule,
-    outside_training,
-    root_compression,
-    route_air,
-    safe_air,
-)
+from probe_agents.plant.recommendation import MARGIN, expected_costs, optimal_schedule, root_compression, safe_air
 from probe_agents.plant.response import Metres, stored_response
 from probe_agents.policies.cases import load_case
 from probe_agents.policies.catalogue import DATA
@@ -53,7 +44,7 @@ def test_the_cheapest_path_is_that_of_all_paths():
     def cost(path):
         return sum(staged[k, p] for k, p in enumerate(path)) + sum(change[a, b] for a, b in itertools.pairwise(path))
 
-    assert cheapest_path(staged, change) == list(min(itertools.product(range(4), repeat=6), key=cost))
+    assert recommendation.cheapest_path(staged, change) == list(min(itertools.product(range(4), repeat=6), key=cost))
 
 
 def test_recommended_schedule_fits_the_device():
@@ -117,8 +108,7 @@ def test_plants_without_an_answer_are_refused():
 
 def test_feeds_end_at_the_speed_that_the_instrument_permits():
     """54 Hz / 4 x 20 mm / 2 = 0.135 m/s; without it the first metres are faster. In the PLC's law, too."""
-    fields = PLANT.model_dump()
-    limited = Plant.model_validate(fields | {"instrument": {"test_frequency": 54.0}}).config
+    limited = Plant.model_validate(PLANT.model_dump() | {"instrument": {"test_frequency": 54.0}}).config
     best, held = (optimal_schedule(TUBES, RESPONSE, config) for config in (PLANT.config, limited))
     assert max(best.schedule.feed_speed) > 0.3
     assert max(held.schedule.feed_speed) == pytest.approx(0.135)
@@ -131,7 +121,7 @@ def test_recommended_air_carries_the_probe_through_the_route():
     tables = PLANT.model_dump() | {"route": ({"length": 12.0, "slope": 90.0}, {"helix": True})}
     plant = Plant.model_validate(tables)
     config = plant.config
-    air = route_air(plant, TUBES)
+    air = recommendation.route_air(plant, TUBES)
     assert air**2 / plant.check_route(TUBES) ** 2 == pytest.approx(MARGIN)
     free = optimal_schedule(TUBES, RESPONSE, config).schedule
     optimum = optimal_schedule(TUBES, RESPONSE, config, air)
@@ -139,7 +129,7 @@ def test_recommended_air_carries_the_probe_through_the_route():
     assert min(free.air_supply_rate) < air <= min(np.array(optimum.schedule.air_supply_rate)[early])
     assert optimum.tension >= MARGIN * config.required_tension > 1.5 * 3.0
     assert recipe_of(plant).air_supply_rate[0] >= air
-    assert route_air(None, TUBES) == route_air(PLANT, TUBES) == 0.0
+    assert recommendation.route_air(None, TUBES) == recommendation.route_air(PLANT, TUBES) == 0.0
     # at the median friction of 0.5 the air carries the probe through a level part, q > mu w; at 0.86 it does not
     rough, level = {"friction": {"low": 0.1, "high": 0.9}}, ({"length": 3.0}, {"helix": True})
     hard = Plant.model_validate({"contact": rough, "air": {"air_supply_rates": (0.008, 0.0145)}, "route": level})
@@ -156,7 +146,7 @@ def test_air_is_safe_in_every_tube():
     load = buckling_load(CONFIG.scene.probe)
     for air, safe in ((air_back, True), (air_back + 1.0, False)):
         assert (max(root_compression(CONFIG, tube, air, speeds[0]) for tube in TRAIN.contexts) <= load / MARGIN) == safe
-    pulls = min_root_tension(CONFIG, TRAIN.contexts, np.array([air_in - 1.0, air_in]), speeds[1])
+    pulls = recommendation.min_root_tension(CONFIG, TRAIN.contexts, np.array([air_in - 1.0, air_in]), speeds[1])
     assert pulls[0] < MARGIN * CONFIG.required_tension <= pulls[1]
     unseen = load_case(None, "test").contexts
     assert [k for k, tube in enumerate(unseen) if root_compression(CONFIG, tube, 130.0, 0.4) > load] == [29]
@@ -176,9 +166,9 @@ def test_a_device_without_safe_air_is_refused():
 
 def test_values_outside_the_training_ranges_are_reported():
     """Bore, friction and probe, each with value and range; nothing within them."""
-    assert outside_training(TUBES, RESPONSE, PLANT.configured()) == []
+    assert recommendation.outside_training(TUBES, RESPONSE, PLANT.configured()) == []
     odd = Plant(tube=Tubes(inner_diameter=28e-3), probe=Probe(line_density=0.13)).configured()
-    texts = "; ".join(outside_training([Context(friction=0.4)], RESPONSE, odd))
+    texts = "; ".join(recommendation.outside_training([Context(friction=0.4)], RESPONSE, odd))
     for text in ("floats 0.009 to 0.009 m, beyond", "probe with different line_density", "friction 0.4 to 0.4, beyond"):
         assert text in texts
 

@@ -104,8 +104,8 @@ def test_texts_and_errors(tmp_path):
     assert str(FileError("a\nb", "c\nd")) == "a\\nb: c; d"
 
 
-def test_memory_of_a_reader_depends_on_the_file_size(tmp_path):
-    path = tmp_path / "small"
+def test_a_reader_depends_on_the_true_size(tmp_path, monkeypatch):
+    path, fstat = tmp_path / "file", os.fstat
     path.write_bytes(b"x" * 1000)
     tracemalloc.start()
     assert read_bytes(path, 1 << 28) == b"x" * 1000
@@ -113,10 +113,6 @@ def test_memory_of_a_reader_depends_on_the_file_size(tmp_path):
     tracemalloc.stop()
     with pytest.raises(FileError, match="1000 bytes are more than the 999"):
         read_bytes(path, 999)
-
-
-def test_a_file_is_read_whatever_size_the_system_reports(tmp_path, monkeypatch):
-    path, fstat = tmp_path / "file", os.fstat
     path.write_bytes(b"0123456789")
     for reported in (10, 4, 0):  # a file that grows, and one of /proc
 

@@ -34,7 +34,7 @@ def test_a_checkout_ships_what_it_holds():
     assert shipped_names("train") == tuple(shipped_agents())  # each is how its agents were made
     assert {"original", "improved"} <= set(shipped_names("design"))
     for spec, seed in (("ppo", 0), ("ppo@2", 2)):
-        assert policy_file(spec) == str(ROOT / "results" / "agents" / "ppo" / f"seed-{seed}" / "agent.safetensors")
+        assert policy_file(spec) == str(ROOT / f"results/agents/ppo/seed-{seed}/agent.safetensors")
     assert file_or_shipped("scenes", "fig11_l10") == ROOT / "configs" / "scenes" / "fig11_l10.toml"
 
 
