@@ -67,9 +67,8 @@ def public():
 
 
 def test_public_names_are_those_of_the_api_page(public):
-    entries = re.findall(
-        r"^\.\. (?:auto|py:)(?:class|function|exception|data):: (\S+)", PAGES["docs/api.md"], re.MULTILINE
-    )
+    entry = r"(?m)^\.\. (?:auto|py:)(?:class|function|exception|data):: (\S+)"
+    entries = re.findall(entry, PAGES["docs/api.md"])
     assert sorted(entries) == sorted(public)
     for place, _, name in (path.rpartition(".") for path in entries):
         assert getattr(import_module(place), name).__doc__, name
