@@ -104,9 +104,8 @@ def test_bad_arguments_actions_and_schedules_are_named():
             env.step(action)
     with pytest.raises(ValueError, match="point = "):
         Design.from_unit(np.zeros(3))
-    over_time = Schedule("time", "linear", (0.0,), (0.2,), (0.02,))
     with pytest.raises(ValueError, match="schedule over time"):
-        try_sections([Candidate(Design(), Context(), over_time)], CONFIG)
+        try_sections([Candidate(Design(), Context(), Schedule("time", "linear", (0.0,), (0.2,), (0.02,)))], CONFIG)
 
 
 def two_sections(rms, tension=(4.0, 4.0), diverged=False, widths=(20.0, 27.5)):

@@ -21,6 +21,7 @@ from probe_env.schedule import Schedule
 SHORT = {"tube": {"helix_length": 8.0}}
 BOTH = TaskConfig(passes="both", time_limit=1800.0)
 SCORED = ("insertion", "withdrawal", "best")
+HEAD = "inserted_length_m,feed_speed_m_per_s,air_supply_m3_per_h,return_feed_speed_m_per_s"
 HARD = Context(friction=0.2, helix_diameter=1.0)
 
 
@@ -71,7 +72,6 @@ def test_a_metre_is_scored_by_the_selected_pass():
 
 
 def test_the_score_does_not_depend_on_the_division_into_periods():
-    """Of the better of both passes."""
     totals = []
     for steps in (8, 37):
         scorer, places = started(), np.linspace(5.0, 9.0, steps + 1)[1:]
@@ -174,10 +174,7 @@ def test_both_passes_detect_what_either_detects():
 
 def test_insertion_policies_withdraw_as_fast_as_possible(tmp_path):
     path = tmp_path / "mine.csv"
-    path.write_text(
-        "inserted_length_m,feed_speed_m_per_s,air_supply_m3_per_h,return_feed_speed_m_per_s,return_air_supply_m3_per_h\n"
-        "5,0.4,63,0.1,40\n60,0.2,100,0.3,90\n"
-    )
+    path.write_text(f"{HEAD},return_air_supply_m3_per_h\n5,0.4,63,0.1,40\n60,0.2,100,0.3,90\n")
     config = BOTH.full_observation
     episodes = Episodes(1, config, fidelity="fast")
     observation, _ = episodes.reset([0], {0: np.random.default_rng(0)}, {0: {"context": HARD}})
@@ -199,12 +196,11 @@ def test_insertion_policies_withdraw_as_fast_as_possible(tmp_path):
 
 def test_columns_of_withdrawal_go_together(tmp_path):
     path = tmp_path / "half.csv"
-    head = "inserted_length_m,feed_speed_m_per_s,air_supply_m3_per_h,return_feed_speed_m_per_s"
-    path.write_text(f"{head}\n5,0.4,63,0.1\n60,0.2,100,0.3\n")
+    path.write_text(f"{HEAD}\n5,0.4,63,0.1\n60,0.2,100,0.3\n")
     with pytest.raises(FileError, match=r"half\.csv: return_feed_speed_m_per_s and return_air_supply_m3_per_h go"):
         Schedule.read_withdrawal(path)
     assert Schedule.read_withdrawal("configs/schedules/example.csv") is None
-    path.write_text(f"{head},return_air_supply_m3_per_h\n5,0.4,63,9,63\n")
+    path.write_text(f"{HEAD},return_air_supply_m3_per_h\n5,0.4,63,9,63\n")
     with pytest.raises(FileError, match=r"line 2, return_feed_speed_m_per_s = 9\.0 is outside the accepted"):
         Schedule.read_withdrawal(path)
 

@@ -1,5 +1,7 @@
 """The native batches conform to their single environments, and the checks find broken ones."""
 
+from functools import partial
+
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -20,10 +22,6 @@ CASES = {
         "fidelity": "fast",
     },
 }
-
-
-def single(env_id):
-    return lambda: gym.make(env_id, **CASES[env_id])
 
 
 @pytest.mark.parametrize("env_id", CASES)
@@ -65,10 +63,10 @@ class Broken(ProbeVecEnv):
 
 
 def test_broken_batches_are_found():
-    env_id = "probe_env/Snapshot-v1"
+    env_id, settings = "probe_env/Snapshot-v1", CASES["probe_env/Snapshot-v1"]
     for fault in "modified later", "terminated of step", "final observation of", "first observation", "reward of step":
         with pytest.raises(AssertionError, match=fault):
-            check_vector_env(lambda n, fault=fault: Broken(fault, env_id, n, **CASES[env_id]), single(env_id))
+            check_vector_env(partial(Broken, fault, env_id, **settings), lambda: gym.make(env_id, **settings))
 
 
 def test_truncation_reaches_ppo_s_bootstrap():

@@ -77,8 +77,7 @@ def test_rf_noise_follows_radial_vibration(seeds):
     below 0.85 for means of four, half above 0.96. A scene of the quiet three that sounds like one of the loud three
     takes 0.2 and more, and is noticed.
     """
-    names = [f"fig11_l{length}" for length in (10, 20, 30, 40, 50)]
-    names += ["fig12_l55", "fig17_dh2500", "fig18_q40", "fig20_improved"]
+    names = [*(f"fig11_l{n}" for n in (10, 20, 30, 40, 50)), "fig12_l55", "fig17_dh2500", "fig18_q40", "fig20_improved"]
     folder, starts = Path(__file__).parents[2] / "configs" / "scenes", 4
     scenes = [Scene.from_toml(folder / f"{name}.toml") for name in names] * starts
     each = np.repeat(seeds(starts), len(names)).tolist()

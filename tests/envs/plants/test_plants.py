@@ -32,7 +32,6 @@ feed_speeds = [0.02, 0.15]
 vibration_limit = 2e-4
 """
 SETTINGS = {"fidelity": "fast"}
-BEND = {"length": 0.8, "bend_radius": 0.5, "slope": 45.0}
 TEST = {"tube": {"tube": {"inner_diameter": 0.023}}, "contexts": "test"}
 
 
@@ -132,9 +131,7 @@ BROKEN = {
     "no whole step lies within feed_speeds, 0.11 to": {"feed": {"feed_speeds": [0.11, 0.19], "feed_speed_step": 0.1}},
     "air.air_supply_step = 180 m3/h: no whole step lies within air": {"air": {"air_supply_step": 0.05}},
     r"air: .*per_h = \(30, 1000\): must be within 0 to 720 m3/h": {"air": {"air_supply_rates_m3_per_h": [30, 1000]}},
-    "air: air_supply_step_m3_per_h = 5: air_supply_step is given, too: leave one out": {
-        "air": {"air_supply_step_m3_per_h": 5, "air_supply_step": 0.001}
-    },
+    "_per_h = 5: air_supply_step is given, too": {"air": {"air_supply_step_m3_per_h": 5, "air_supply_step": 0.001}},
     "helix_diameter = 1400.0 m is outside the accepted range 0.3 to 50 m": {"tube": {"helix_diameter": 1400}},
     "task.vibration_limit = 0.1 m is more than the 0.0052 m that": {"task": {"vibration_limit": 0.1}},
     r"route.0.slope: 120.0 degrees .* -90 to 90 degrees": {"route": [{"length": 3.0, "slope": 120.0}, {"helix": True}]},
@@ -195,7 +192,8 @@ def test_required_tension_follows_from_the_route():
     # in the rising part only the drag counts, so twice the square of the air's speed past the probe
     assert plant.check_route(hard) / plant.check_route() == pytest.approx(2.0**0.5, rel=1e-3)
     assert Plant().check_route(hard) == 0.0
-    bent = Plant.model_validate({"route": [tables["route"][0], BEND, {"helix": True}]})  # the example of docs/plant.md
+    bend = {"length": 0.8, "bend_radius": 0.5, "slope": 45.0}  # the example of docs/plant.md
+    bent = Plant.model_validate({"route": [tables["route"][0], bend, {"helix": True}]})
     assert bent.config.required_tension == pytest.approx(3.42, abs=5e-3)
     assert 3600.0 * bent.check_route() == pytest.approx(67.4, abs=1.0)  # at the slowest feed, 0.18 m/s less
     assert route_forces(bent.route, bent.scene, 0.02).feed.min() == pytest.approx(0.08, abs=5e-3)

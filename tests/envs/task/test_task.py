@@ -44,7 +44,6 @@ def run_batch(policies, contexts, fidelity="fast", config=None):
 
 @pytest.fixture(scope="module")
 def insertions():
-    """The study's constant feed and the fastest feed, in the worst and a mild context."""
     return run_batch([CONSTANT, (0.4, 130.0 / 3600.0)], [WORST, MILD])
 
 
