@@ -29,9 +29,9 @@ def random_chain(rng, n, stiffness):
 
 
 def random_state(rng, nodes):
-    """Floats on both walls and in between, sliding both ways."""
+    """Floats on both walls and in between, sliding both ways, also as they turn."""
     d = rng.normal(size=(nodes, 3)) * [1e-3, 1e-2, 1e-2]
-    v = rng.normal(size=(nodes, 3)) * 0.3
+    v = rng.normal(size=(nodes, 3)) * [0.3, 0.3, 30.0]
     a = rng.normal(size=(nodes, 3)) * 10.0
     for array in (d, v, a):
         array[-1] = 0.0
