@@ -106,12 +106,7 @@ def check_film(path, pictures):
 
 
 @pytest.mark.parametrize(
-    "name",
-    [
-        pytest.param("film.gif", marks=pytest.mark.slow),
-        pytest.param("film.mp4", marks=pytest.mark.slow),
-        "picture.png",
-    ],
+    "name", ["picture.png", *(pytest.param(f"film.{kind}", marks=pytest.mark.slow) for kind in ("gif", "mp4"))]
 )
 def test_render_writes_an_episode_and_slow_motion(name, tmp_path, capsys):
     """A picture every 4 s; every 5 ms of 0.05 s, each shown for 40 ms."""

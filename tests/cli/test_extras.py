@@ -37,6 +37,8 @@ def imported(package):
 
 def test_extras_name_what_is_imported():
     assert modules_of() == imported("probe_env")
+    assert set(NEEDS) <= set(COMMANDS)
+    assert set(NEEDS.values()) <= set(EXTRAS)
     assert imported("agents") - imported("probe_env") - {"ray"} <= set().union(*map(modules_of, EXTRAS))
 
 
@@ -55,8 +57,3 @@ def test_missing_module_names_the_smallest_extra(monkeypatch, capsys):
         package = module.partition(".")[0]
         line = f'{command} needs {package}, which is not installed: pip install "probe-env[{extra}]"'
         assert capsys.readouterr() == ("", f"probe-env: error: {line}\n")
-
-
-def test_what_a_command_needs_is_an_extra():
-    assert set(NEEDS) <= set(COMMANDS)
-    assert set(NEEDS.values()) <= set(EXTRAS)

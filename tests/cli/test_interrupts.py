@@ -140,10 +140,7 @@ def test_exit_codes_of_processes(tmp_path):
     assert ended.stderr.splitlines()[-1] == "probe-env: interrupted: nothing was stored"
     ended = command(MANY_LINES, pipe="| head -1; exit ${PIPESTATUS[0]}")
     assert (ended.returncode, ended.stdout, ended.stderr) == (1, "1\n", "")
-
-
-def test_a_backend_of_a_notebook_elsewhere_is_not_used():
-    ended = command(BACKEND)
+    ended = command(BACKEND)  # of a notebook elsewhere, which is not used
     assert (ended.stdout, ended.stderr) == ("agg\n", "")
 
 
