@@ -8,48 +8,43 @@ from probe_env.envs import task
 from probe_env.envs.episodes import Episodes
 from probe_env.physics.closed_forms import buckling_load
 
-RNG = np.random.default_rng(7)
-N = 200
-CONFIG = TaskConfig(vibration_weight=1.7, time_weight=0.13, air_weight=0.31, progress_weight=0.9)
+FULL = (0.4, 30.0 / 3600.0)
+MILD = Context(friction=0.10, contact_stiffness=1.4e5, drag_factor=0.9, helix_diameter=2.5)
 
 
 def test_skipping_a_metre_never_pays():
     """At any feed and air, with the greatest vibration and the greatest change of action."""
-    ratio = RNG.uniform(0.0, 2.0 * CONFIG.ratio_cap, N)
-    feed, air = RNG.uniform(*CONFIG.feed_speeds, N), RNG.uniform(*CONFIG.air_supply_rates, N)
-    squares = task.capped_square(CONFIG, ratio)
-    inspected = task.metre_reward(CONFIG, task.metre_cost(CONFIG, squares, feed, air))
-    terms = task.reward_terms(CONFIG, inspected=np.ones(N), squares=squares, seconds=1.0 / feed, air=air / feed)
+    config = TaskConfig(vibration_weight=1.7, time_weight=0.13, air_weight=0.31, progress_weight=0.9)
+    rng = np.random.default_rng(7)
+    ratio = rng.uniform(0.0, 2.0 * config.ratio_cap, 200)
+    feed, air = rng.uniform(*config.feed_speeds, 200), rng.uniform(*config.air_supply_rates, 200)
+    squares = task.capped_square(config, ratio)
+    inspected = task.metre_reward(config, task.metre_cost(config, squares, feed, air))
+    terms = task.reward_terms(config, inspected=np.ones(200), squares=squares, seconds=1.0 / feed, air=air / feed)
     assert inspected == pytest.approx(sum(terms.values()), rel=1e-13)
-    jerk = CONFIG.jerk_weight * 8.0 / CONFIG.period  # both actions from one end to the other: 2^2 + 2^2
-    assert (inspected - jerk / feed > -task.uninspected_weight(CONFIG)).all()
-    slowest = CONFIG.feed_speeds[0]
-    worst = task.metre_cost(CONFIG, CONFIG.ratio_cap**2, slowest, CONFIG.air_supply_rates[1]) + jerk / slowest
-    assert task.uninspected_weight(CONFIG) == pytest.approx(float(worst) + CONFIG.progress_weight, rel=1e-14)
-
-
-RANGE, OTHER = (0.02, 0.4), (0.05, 0.25)
+    jerk = config.jerk_weight * 8.0 / config.period  # both actions from one end to the other: 2^2 + 2^2
+    assert (inspected - jerk / feed > -task.uninspected_weight(config)).all()
+    slowest = config.feed_speeds[0]
+    worst = task.metre_cost(config, config.ratio_cap**2, slowest, config.air_supply_rates[1]) + jerk / slowest
+    assert task.uninspected_weight(config) == pytest.approx(float(worst) + config.progress_weight, rel=1e-14)
 
 
 def test_actions_convert_to_another_range_also_beyond_its_ends():
-    values = np.linspace(*RANGE, 7)
-    fractions = task.fraction_between(values, RANGE)
-    assert task.value_at(fractions, RANGE) == pytest.approx(values, rel=1e-15)
+    own, other = (0.02, 0.4), (0.05, 0.25)
+    values = np.linspace(*own, 7)
+    fractions = task.fraction_between(values, own)
+    assert task.value_at(fractions, own) == pytest.approx(values, rel=1e-15)
     assert task.fraction_of(task.action_of(fractions)) == pytest.approx(fractions, abs=1e-15)
     assert (task.fraction_of(np.array([-1.5, 1.5])) == [0.0, 1.0]).all()
-    here, there = TaskConfig(feed_speeds=RANGE), TaskConfig(feed_speeds=OTHER)
+    here, there = TaskConfig(feed_speeds=own), TaskConfig(feed_speeds=other)
     actions = np.array([-1.0, -0.5, 0.0, 1.0])
     targets = here.targets(np.column_stack([actions, actions]))[:, 0]
-    translated = task.action_in(actions, RANGE, OTHER)
-    assert task.value_at(0.5 * (translated + 1.0), OTHER) == pytest.approx(targets, rel=1e-14)
+    translated = task.action_in(actions, own, other)
+    assert task.value_at(0.5 * (translated + 1.0), other) == pytest.approx(targets, rel=1e-14)
     assert translated[0] < -1.0
     assert translated[-1] > 1.0
-    standstill = task.action_in(np.array([float(here.standstill)]), RANGE, OTHER)
+    standstill = task.action_in(np.array([float(here.standstill)]), own, other)
     assert standstill == pytest.approx(float(there.standstill), abs=2.0**-22)  # both are float32
-
-
-FULL = (0.4, 30.0 / 3600.0)
-MILD = Context(friction=0.10, contact_stiffness=1.4e5, drag_factor=0.9, helix_diameter=2.5)
 
 
 def play(config, feed, air, fidelity="fast"):
