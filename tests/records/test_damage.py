@@ -259,10 +259,7 @@ def bundle(tmp_path):
 
 
 def resealed(change=lambda *_: None, **entries):
-    """Damage the description and the weights and hash them again, so that only their content is wrong.
-
-    ``entries`` of the metadata are others then; None takes one out.
-    """
+    """Only the content is wrong: its hash is made again, with other ``entries`` of the metadata; None takes one out."""
 
     def damage(path):
         content, _, weights = read_weights(path)
