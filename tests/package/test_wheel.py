@@ -147,11 +147,8 @@ def test_installed_commands_beside_a_folder_agents(run, python, tmp_path, monkey
     (tmp_path / "agents").mkdir()
     (tmp_path / "agents" / "__init__.py").write_text("raise ImportError('a package of the user')")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    out, _ = run(
-        "python", "-c", "import probe_env, probe_agents; print(probe_env.__file__); print(probe_agents.__file__)"
-    )
-    site = python.parents[1]
-    assert all(Path(line).is_relative_to(site) for line in out.splitlines())
+    site, code = python.parents[1], "import probe_env, probe_agents; print(probe_env.__file__, probe_agents.__file__)"
+    assert all(Path(file).is_relative_to(site) for file in run("python", "-c", code)[0].split())
     assert run("probe-env", "--version")[0] == f"probe-env {version('probe-env')}\n"
     assert "ppo-any-probe" in run("probe-env", "agents")[0]
     assert "robustness" in run("probe-env", "study", "--list")[0]
@@ -191,14 +188,11 @@ def test_without_an_extra_one_line_names_it(run, tmp_path):
         (["app", "--port", "0", "--no-show"], "app"),
     ):
         printed, error = run("probe-env", *arguments, status=2, PYTHONPATH=hidden)
-        line = (
-            rf'probe-env: error: {arguments[0]} needs (\w+), which is not installed: pip install "probe-env\[(\w+)\]"\n'
-        )
-        match = re.fullmatch(line, error)
-        assert printed == ""
-        assert match, (arguments, error)
-        assert match[1] in BEYOND, arguments
-        assert match[2] == extra, (arguments, error)
+        module = re.search(r" needs (\w+)", error)
+        assert module, (arguments, error)
+        assert module[1] in BEYOND, arguments
+        line = f'{arguments[0]} needs {module[1]}, which is not installed: pip install "probe-env[{extra}]"'
+        assert (printed, error) == ("", f"probe-env: error: {line}\n")
     assert list(run.folder.iterdir()) == []
 
 
