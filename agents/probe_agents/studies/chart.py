@@ -410,7 +410,7 @@ STUDY = CHECKOUT / "results" / "study"
 """Stored runs of the slow methods by the study ``claims``."""
 PALETTE = ("#1f5fa8", "#7d3c98", "#c0392b", "#ec7aa5", "#d68910", "#1e8449", "#5dade2", "#7e5109", "#283747", "#a6acaf")
 BANDED = "newmark (LAPACK)"
-"""Method of stored rows; LAPACK's banded solver is now an oracle of the tests."""
+"""Method of stored rows: Newmark with LAPACK's banded solver, which was removed."""
 COLOURS = dict(zip((*ON_NODES, BANDED, *(m for m in METHODS if m not in ON_NODES)), cycle(PALETTE), strict=False))
 MARKERS = {4: "o", 8: "s", 16: "^"}
 """Nodes per pitch -> marker."""
