@@ -13,8 +13,6 @@ from probe_agents.evaluation import evaluate
 from probe_agents.evaluation.folder import read_evaluation
 from probe_agents.evaluation.kpis import PROFILE_COLUMNS
 from probe_agents.evaluation.plan import Plan, RolloutRunner, core_seconds, per_metre, run_plan
-from probe_agents.evaluation.run import evaluate_plan, plan_of
-from probe_agents.policies.cases import load_case
 from probe_agents.policies.catalogue import make_policy, named_policies
 from probe_agents.policies.fixed import Constant
 from probe_agents.terminal.work import Work
@@ -139,7 +137,7 @@ def test_evaluate_gives_the_table_with_and_without_a_folder(tmp_path):
 
 def test_bad_arguments_are_named_and_nothing_is_written(tmp_path):
     def run(specs, limit, seeds, against=None):
-        evaluate_plan(plan_of(specs, load_case(None, "validation", limit), seeds, "fast"), tmp_path / "out", against)
+        evaluate(specs, tmp_path / "out", contexts="validation", limit=limit, seeds=seeds, against=against)
 
     for arguments, message in (
         ((["constant"], 99, 1), "limit = 99"),

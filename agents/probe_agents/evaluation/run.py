@@ -79,11 +79,13 @@ def evaluate(
     plan = plan_of(policies, case, seeds, fidelity, probes, strict)
     if output is None:
         return run_plan(plan, None, workers=workers)
+    users = user_policies(policies)
+    report_settings(plan, against, users)  # an unknown reference is refused before the folder is made
     plan.folder(output).check(EPISODE_RECORDS)
     output.mkdir(parents=True, exist_ok=True)
     tubes = len(plan.contexts)
     print_line(f"evaluation of {', '.join(plan.policies)} in {tubes} {'tubes' if tubes > 1 else 'tube'}")
-    return evaluate_plan(plan, output, against, workers, user_policies(policies))
+    return evaluate_plan(plan, output, against, workers, users)
 
 
 def plan_of(
