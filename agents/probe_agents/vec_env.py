@@ -1,6 +1,7 @@
 """Stable-Baselines3's VecEnv over the native batch."""
 
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from typing import Any, Literal, Unpack
 
 import gymnasium as gym
@@ -59,6 +60,9 @@ class ProbeVecEnv(VecEnv):
             num_envs, config, autoreset_mode=AutoresetMode.SAME_STEP, threads=threads,
             max_episode_steps=max_episode_steps, **settings,
         )  # fmt: skip
+        arguments = dict(settings) if config is None else {"config": config, **settings}
+        self.native.spec = replace(gym.spec(env_id), kwargs=arguments)
+        self.spec = self.native.spec  # as gymnasium.make gives it; VecMonitor writes its id
         self.config, self.episodes, self.render_mode = self.native.config, self.native.episodes, None
         super().__init__(num_envs, self.native.single_observation_space, self.native.single_action_space)
         self._actions = np.zeros((num_envs, 2), dtype=np.float32)
@@ -97,7 +101,7 @@ class ProbeVecEnv(VecEnv):
         """Nothing to close."""
 
     def get_attr(self, attr_name: str, indices: int | Iterable[int] | None = None) -> list[Any]:
-        """An attribute of the batch (such as ``render_mode`` or ``config``), once for each environment."""
+        """An attribute of the batch (such as ``render_mode``, ``spec`` or ``config``), once for each environment."""
         return [getattr(self, attr_name) for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: int | Iterable[int] | None = None) -> None:

@@ -1,5 +1,6 @@
 """The native batches conform to their single environments, and the checks find broken ones."""
 
+import json
 from functools import partial
 
 import gymnasium as gym
@@ -8,6 +9,7 @@ import pytest
 from conformance import check_vector_env
 from gymnasium.vector import AutoresetMode
 from stable_baselines3 import PPO
+from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor
 
 import probe_env
 from probe_agents.vec_env import ProbeVecEnv
@@ -133,3 +135,14 @@ def test_sb3_seeds_options_and_attributes():
     assert env.env_is_wrapped(gym.Wrapper) == [False, False]
     with pytest.raises(ValueError, match="leave indices out"):
         env.set_attr("x", 1, indices=[0])
+
+
+def test_sb3_spec_is_that_of_single_environments(tmp_path):
+    for env_id, settings in CASES.items():
+        for options in ({}, settings, settings | {"max_episode_steps": 3}):
+            env = ProbeVecEnv(env_id, 2, **options)
+            single = DummyVecEnv([partial(gym.make, env_id, **options)] * 2)
+            assert env.get_attr("spec") == single.get_attr("spec"), (env_id, options)
+        VecMonitor(env, str(tmp_path / "monitor")).close()
+        header = (tmp_path / "monitor.monitor.csv").read_text().partition("\n")[0]
+        assert json.loads(header.removeprefix("#"))["env_id"] == env_id
