@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 
-def lazy(package: str) -> Callable[[str], Any]:
-    """The ``__getattr__`` of a package whose ``__init__.py`` imports its public names under ``TYPE_CHECKING``."""
+def lazy(package: str) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
+    """``__getattr__`` and ``__dir__`` of a package whose ``__init__.py`` imports its ``__all__`` if TYPE_CHECKING."""
 
     @cache
     def modules() -> dict[str, str]:
@@ -23,4 +23,4 @@ def lazy(package: str) -> Callable[[str], Any]:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
         return getattr(import_module(modules()[name]), name)
 
-    return attribute
+    return attribute, lambda: sorted({*vars(sys.modules[package]), *sys.modules[package].__all__})

@@ -162,6 +162,11 @@ def tuples(value: Any) -> Any:
     return tuple(tuples(entry) for entry in value) if isinstance(value, list) else value
 
 
+def is_number(value: object) -> bool:
+    """Whether a value is a number; Python counts booleans as integers."""
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
 def within(name: str, value: float, low: float, high: float, unit: str, exclude_low: bool = False) -> None:
     """Raise ValueError unless ``value`` is in [low, high], or in (low, high] with ``exclude_low``; NaN is not."""
     if not low <= value <= high or (exclude_low and value == low):  # also catches NaN

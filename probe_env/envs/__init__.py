@@ -27,4 +27,4 @@ __all__ = [
     "InsertionVectorEnv", "InspectionEnv", "InspectionVectorEnv", "Motion", "ProbeEnv", "ProbeVectorEnv",
     "SnapshotEnv", "SnapshotVectorEnv", "Strip", "Watch", "in_si_units",
 ]  # fmt: skip
-__getattr__ = lazy(__name__)
+__getattr__, __dir__ = lazy(__name__)

@@ -27,7 +27,7 @@ from probe_env.inspection.instrument import Instrument
 from probe_env.inspection.sensor import Sensor
 from probe_env.physics.closed_forms.route import Route, min_air, one_helix, required_root_tension, route_forces
 from probe_env.scene import Air, Contact, Probe, Scene, Tube
-from probe_env.settings import Model, Quantity, explain, quantity, range_of, tuples, within
+from probe_env.settings import Model, Quantity, explain, is_number, quantity, range_of, tuples, within
 
 
 class Between(Model):
@@ -52,7 +52,7 @@ class Normal(Model):
 
 def _as_figure(value: Any) -> Any:
     """The model whose keys a table has; pydantic would report errors for each model."""
-    if isinstance(value, Between | Normal) or (isinstance(value, int | float) and not isinstance(value, bool)):
+    if isinstance(value, Between | Normal) or is_number(value):
         return value
     for kind in (Between, Normal):
         if isinstance(value, Mapping) and set(value) & set(kind.model_fields):
@@ -144,7 +144,7 @@ def supply_in_si(fields: Mapping[str, Any]) -> dict[str, Any]:
         numbers = value if isinstance(value, list | tuple) else [value]
         if si in known:
             problem = f"{si} is given, too: leave one out"
-        elif not all(isinstance(number, int | float) and 0.0 <= number <= highest for number in numbers):
+        elif not all(is_number(number) and 0.0 <= number <= highest for number in numbers):
             problem = f"must be within 0 to {highest:g} m3/h"
         else:
             known[si] = tuple(n / 3600.0 for n in numbers) if numbers is value else value / 3600.0

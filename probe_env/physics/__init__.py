@@ -17,4 +17,4 @@ __all__ = [
     "point_statistics", "required_root_tension", "route_forces", "steady_root_tension", "tension_for_straight",
     "window_statistics",
 ]  # fmt: skip
-__getattr__ = lazy(__name__)
+__getattr__, __dir__ = lazy(__name__)

@@ -71,6 +71,7 @@ def test_public_names_are_those_of_the_api_page(public):
     entries = re.findall(entry, PAGES["docs/api.md"])
     assert sorted(entries) == sorted(public)
     for place, _, name in (path.rpartition(".") for path in entries):
+        assert name in dir(import_module(place))  # for completion
         assert getattr(import_module(place), name).__doc__, name
 
 

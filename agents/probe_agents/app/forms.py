@@ -19,7 +19,7 @@ from probe_env import Plant
 from probe_env.envs.plants import OF_AIR, OF_FEED, Between, supply_in_si, supply_per_hour, with_posterior
 from probe_env.envs.task import VISIBLE_FIELDS, TaskConfig
 from probe_env.files import FileError, read_toml
-from probe_env.settings import Model, Range, explain, range_of
+from probe_env.settings import Model, Range, explain, is_number, range_of
 
 Kind = Literal["number", "integer", "figure", "pair", "list", "choice"]
 NOT_IN_FORM: Final = frozenset(
@@ -99,8 +99,7 @@ def scaled(value: Any, factor: float) -> Any:
         return {name: scaled(number, factor) for name, number in value.items()}
     if isinstance(value, list | tuple):
         return [scaled(number, factor) for number in value]
-    number = isinstance(value, int | float) and not isinstance(value, bool)
-    return float(f"{value * factor:.12g}") if number and factor != 1.0 else value
+    return float(f"{value * factor:.12g}") if is_number(value) and factor != 1.0 else value
 
 
 def value_of(field: Field, text: str) -> Any:

@@ -142,10 +142,9 @@ class Evaluate:
         arguments: dict[str, Any] = vars(self) | {"fidelity": parse_fidelity(self.fidelity)}
         lone = len(self.policies) == 1 and is_schedule_file(self.policies[0]) and not self.strict
         if lone:
+            print_line(f"one schedule, {self.policies[0]}: {BAR} is added for comparison")
             arguments |= {"policies": (*self.policies, BAR), "against": self.against or BAR}
         evaluate(**arguments)
-        if lone:
-            print(f"one schedule: {BAR} is added for comparison")
 
 
 @dataclass(frozen=True)

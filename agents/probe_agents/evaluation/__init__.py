@@ -12,4 +12,4 @@ if TYPE_CHECKING:
 __all__ = [
     "Interval", "Plan", "evaluate", "paired_difference", "run_plan", "summarise",
 ]  # fmt: skip
-__getattr__ = lazy(__name__)
+__getattr__, __dir__ = lazy(__name__)

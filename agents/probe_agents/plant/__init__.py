@@ -17,4 +17,4 @@ __all__ = [
     "Bounds", "Calibration", "Log", "calibrate", "optimal_schedule", "read_cases", "read_log", "read_schedule",
     "stored_response", "structured_text",
 ]  # fmt: skip
-__getattr__ = lazy(__name__)
+__getattr__, __dir__ = lazy(__name__)

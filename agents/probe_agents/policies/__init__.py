@@ -27,4 +27,4 @@ __all__ = [
     "Policy", "Scheduled", "Shielded", "StoredNetwork", "View", "from_sb3", "load_bundle", "make_policy",
     "named_policies", "save_bundle", "write_bundle",
 ]  # fmt: skip
-__getattr__ = lazy(__name__)
+__getattr__, __dir__ = lazy(__name__)

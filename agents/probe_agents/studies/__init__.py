@@ -11,4 +11,4 @@ if TYPE_CHECKING:
 __all__ = [
     "Study", "expand", "run_study",
 ]  # fmt: skip
-__getattr__ = lazy(__name__)
+__getattr__, __dir__ = lazy(__name__)

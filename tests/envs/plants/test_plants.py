@@ -268,3 +268,6 @@ def test_air_supply_in_m3_per_h():
     supply = Plant.model_validate({"air": fields}).air
     assert (supply.air_supply_rates, supply.air_supply_step) == ((30.0 / 3600.0, 122.0 / 3600.0), 5.0 / 3600.0)
     assert supply_per_hour(supply_in_si(fields)) == fields
+    for name, value in (("air_supply_step_m3_per_h", True), ("air_supply_rates_m3_per_h", [False, 122.0])):
+        with pytest.raises(ValueError, match=f"{name} = .*: must be within 0 to 720 m3/h"):
+            Plant.model_validate({"air": {name: value}})
