@@ -78,7 +78,7 @@ quick: setup
 PYTHONS ?= 3.12 3.13
 PYTHON3.12 ?= python3.12
 PYTHON3.13 ?= python3.13
-WITHOUT_TORCH := cmaes corner emcee moocore openpyxl optuna pint
+WITHOUT_TORCH := cmaes charset-normalizer corner emcee moocore optuna pint python-calamine
 test-pythons: $(PYTHONS:%=test-python-%)
 
 test-python-%:

@@ -38,6 +38,8 @@ SEPARATORS: Final = (
     " - semicolons or decimal commas? Commas between columns need decimal points; where semicolons are between columns,"
     " probe-env reads decimal commas, too"
 )
+STEP: Final = 1e-6
+"""Distance of two points at the same place, a step in a linear schedule [m or s]."""
 MAX_BYTES, MAX_POINTS, MAX_COLUMNS = 64 * MEBI, 1_000_000, 1000
 """Limits of a file; enough for three hours of a log at 100 Hz."""
 
@@ -100,7 +102,8 @@ class Schedule:
         ``air_supply_m3_per_h``; other columns are ignored, so that logs can be replayed. A file with both time and
         length is a schedule over time that starts at the first length. A schedule over length may have
         ``return_feed_speed_m_per_s`` and ``return_air_supply_m3_per_h`` for withdrawal. The first line may be
-        ``# interpolation: steps``. A TOML file has ``interpolation`` and ``points``, a list of tables with these keys.
+        ``# interpolation: steps``; else it is linear, and two rows at the same place are a step. A TOML file has
+        ``interpolation`` and ``points``, a list of tables with these keys.
 
         Raises:
             FileNotFoundError: no such file.
@@ -234,9 +237,12 @@ def _validated(
         tuple(_number(path, location, name, row.get(name), range_) for location, row in rows)
         for name, range_ in ranges.items()
     )
-    for (location, _), before, now in zip(rows[1:], position[:-1], position[1:], strict=True):
-        if now <= before:
-            raise FileError(path, f"{location}, {column} = {now!r} must be greater than {before!r} before it")
+    for k, ((location, _), before, now) in enumerate(zip(rows[1:], position[:-1], position[1:], strict=True), start=1):
+        if now == before and interpolation == "linear" and position[max(k - 2, 0)] < before:
+            position = (*position[:k], now + STEP, *position[k + 1 :])
+        elif now <= before:
+            hint = "; two rows at the same place are a step" * (now == before and interpolation == "linear")
+            raise FileError(path, f"{location}, {column} = {now!r} must be greater than {before!r} before it{hint}")
     start = None
     if over == "time" and length in rows[0][1]:  # initial length of a log
         start = _number(path, rows[0][0], length, rows[0][1][length], (0.0, *POSITIONS[length][1:]))

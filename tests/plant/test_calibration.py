@@ -18,6 +18,7 @@ from probe_agents.plant.inference import LIMIT, Likelihood, LogCase, fit_gain, f
 from probe_agents.plant.logs import Log
 from probe_agents.plant.prior import DAMPING, DRAG, FRICTION, STIFFNESS, prior_of
 from probe_agents.plant.response import CHANNELS, Metres, metres_of, observed, steady_tension, stored_response
+from probe_agents.records.cells import ReadOptions
 from probe_env import Plant, Scene
 from probe_env.files import FileError
 
@@ -320,7 +321,7 @@ def test_an_interrupt_of_the_sampling_prints_nothing(monkeypatch, capfd):
 def test_arguments_are_checked_before_a_log_is_read():
     """The files need not even exist."""
     paths = [Path("a.csv"), Path("b.csv")]
-    usual = {"paths": paths, "plant": Plant(), "helix_diameters": [], "tubes": [], "columns": []}
+    usual = {"paths": paths, "plant": Plant(), "helix_diameters": [], "tubes": []}
     three, two = (Plant(tube={"helix_diameter": diameters}) for diameters in ((1.0, 1.2, 1.4), (1.0, 1.2)))
     for arguments, problem in [
         ({"paths": []}, "logs: at least one is needed"),
@@ -329,6 +330,7 @@ def test_arguments_are_checked_before_a_log_is_read():
         ({"tubes": ["a"]}, "--tubes: 1 names for 2 logs"),
         ({"tubes": ["a", "a"], "helix_diameters": [1.0, 1.2]}, "'a' has helix diameters of 1 and 1.2 m"),
         ({"plant": three}, "tube.helix_diameter: 3 for 2 logs"),
+        ({"options": ReadOptions(passage="out")}, "pass = 'out': calibration is of insertions"),
         ({"plant": two, "helix_diameters": [9.0]}, "--helix-diameters: 9 m is none of the plant's: 1, 1.2 m"),
     ]:
         with pytest.raises(ValueError, match=problem):
@@ -342,4 +344,4 @@ def test_a_log_without_air_is_refused_by_file_column_and_value(tmp_path):
         path.write_text("\n".join([head, *rows]))
         place = f"^{path}: air_supply = 0 m3/h at an inserted length of {at} m: .*faster than the feed"
         with pytest.raises(FileError, match=place):
-            read_cases([path], Plant(), (1.0,), (), ())
+            read_cases([path], Plant(), (1.0,), ())

@@ -3,16 +3,22 @@
 import io
 import os
 import re
-import struct
 import zipfile
 from datetime import datetime, time, timedelta
 
 import pytest
 
 from probe_agents.plant.cleaning import Bounds
-from probe_agents.plant.logs import read_log
+from probe_agents.plant.logs import USUAL, read_log
+from probe_agents.records.cells import ReadOptions
 from probe_agents.records.reader import read_schedule
 from probe_env.files import FileError
+
+
+def read(path, columns=(), bounds=USUAL, **options):
+    """A log, with the options of the command."""
+    return read_log(path, ReadOptions(tuple(columns), **options), bounds)
+
 
 HEAD = "time [s];length [m];feed [m/s];air [m3/h]"
 ROWS = ((0, 5.0), (1, 5.2), (2, 5.4), (3, 5.6))
@@ -174,12 +180,12 @@ def test_foreign_files_are_read(tmp_path):
         content, columns = case if isinstance(case, tuple) else (case, ())
         path.write_bytes(content if isinstance(content, bytes) else content.encode())
         try:
-            log = read_log(path, columns, sheet="Messung" if name.startswith("a sheet") else None)
+            log = read(path, columns, sheet="Messung" if name.startswith("a sheet") else None)
             assert log.time == pytest.approx([0, 1, 2, 3], abs=1e-6)
             assert log.inserted_length == pytest.approx([5.0, 5.2, 5.4, 5.6], abs=2e-6)
             assert log.feed_speed == pytest.approx([0.2] * 4, abs=1e-5)
             assert log.air_supply_rate == pytest.approx([63.0 / 3600.0] * 4, rel=1e-6)
-            assert all("is read as seconds" in note for note in log.notes)  # the speed column agrees
+            assert all("is read as" in note or "amount of gas" in note for note in log.notes)  # the speed column agrees
         except (AssertionError, ValueError) as error:
             failures[name] = error
     assert not failures
@@ -193,7 +199,7 @@ CHANGED = [
     ("1;5.20;0.20;63.0", "1;5.20", "line 3: 2 values for 4 columns"),
     ("1;5.20;0.20;63.0", "1;5.20;0.20;63.0;7;8", "line 3: 6 values for 4 columns"),
     *(("5.40", cell, NUMBER.format(cell)) for cell in ("fast", "off", "inf", "1e999", "=1+1", "5,40,1.5")),
-    ("2;5.40;0.20;63.0", HEAD, "line 4, column 'time [s]': 'time [s]' is not a finite"),
+    ("2;5.40;0.20;63.0", HEAD[:-1], "line 4, column 'time [s]': 'time [s]' is not a finite"),
     ("5.40", "5,40", "line 4, column 'length [m]': '5,40' has another decimal sign"),
     ("\n2;", "\n0.5;", "line 4, column 'time [s]': the time '0.5' is 0.5 s before the row"),
     ("\n3;", "\n3e9;", "line 5, column 'time [s]': 3e+09 s are more than 100000 s"),
@@ -270,10 +276,17 @@ BROKEN = [
     ),
     (lines(row="########;{x};{v};{a}"), "line 2, column 'time [s]': '########' is not a finite number"),
     (HEAD + ";x" * 300 + "\n1;2;3;4", "line 1: 304 columns are more than 256"),
-    (b"\xd0\xcf\x11\xe0" + bytes(2000), "a workbook of Excel before 2007: save it as .xlsx"),
-    (b"PK\x03\x04" + bytes(2000), "not an Excel workbook that can be read"),
+    (b"\xd0\xcf\x11\xe0" + bytes(2000), "a file that cannot be read (CalamineError): save it again, or export it as"),
+    (
+        b"PK\x03\x04" + bytes(2000),
+        "a compressed file or a workbook that is damaged (BadZipFile): copy or save it again",
+    ),
+    (b"\x1f\x8b" + bytes(2000), "a compressed file or a workbook that is damaged (BadGzipFile): copy or save it again"),
     (b"PK\x05\x06" + bytes(18), "not a text file"),
-    (sheet(["a", "b"]), "row 1: no header with two known quantities; found: 'nothing'"),
+    (
+        sheet(["a", "b"]),
+        "no sheet has a header with two known quantities; there are 'Notizen', 'Messung': --sheet NAME",
+    ),
 ]
 
 
@@ -297,38 +310,20 @@ def with_part(old, new=None, part="xl/worksheets/sheet2.xml"):
     return archive(parts | {part: old if new is None else parts[part].replace(old, new, 1)})
 
 
-ENTITIES = b'<!DOCTYPE w [<!ENTITY a "' + b"ha" * 1000 + b'">' + b"".join(
-    b'<!ENTITY %c "%s">' % (k + 1, b"&%c;" % k * 60) for k in range(97, 103)
-)  # fmt: skip
-EMPTY_ROWS = "row 10004: more empty rows than accepted"
-UNREADABLE = "not an Excel workbook that can be read"
+LAST_CELL = b'<row r="1048576"><c r="XFD1048576"><v>1</v></c></row></sheetData>'
+"""That of a sheet of 17e9 cells."""
 SHEETS = [
-    (
-        archive({"a": b"0" * 1000}).replace(struct.pack("<I", 1000), struct.pack("<I", 2**31)),
-        "1 parts of 2147483648 bytes",
-    ),
-    (  # 0.1 MB that become gigabytes as a tree
-        with_part(b"<a/>" * 2_000_000, part="xl/workbook.xml"),
-        "its part 'xl/workbook.xml' has 8000000 bytes, more than the 4194304 accepted",
-    ),
-    (
-        with_part(b"worksheet+xml", b"sheet.main+xml", part="[Content_Types].xml"),
-        "not an Excel workbook that can be read: 'xl/worksheets/sheet1.xml' is 'application/vnd.openxml",
-    ),
-    (with_part(b"<c ", b"<c/>" * 2_000_000 + b"<c "), "xl/worksheets/sheet2.xml has a row of more than 4194304 bytes"),
-    (with_part(b"<row ", b"<!-- <row -->" * 9 + b"<row "), f"{UNREADABLE}: xl/worksheets/sheet2.xml has comments"),
-    (GOOD_SHEET[:-200], f"{UNREADABLE} (BadZipFile)"),
-    (archive({"a.txt": b"1"}), f"{UNREADABLE} (KeyError)"),
-    (with_part(b"<row", b"<<row"), UNREADABLE),
-    (with_part(b"<worksheet", ENTITIES + b"]><worksheet>&g;</worksheet><worksheet"), UNREADABLE),
+    (with_part(b"</sheetData>", LAST_CELL), "cannot be read within 60 s and 4 GiB of memory: save it again, or"),
+    (with_part(b"<a/>" * 2_000_000, part="xl/workbook.xml"), "a file that cannot be read (CalamineError): save it"),
+    (GOOD_SHEET[:-200], "a compressed file or a workbook that is damaged (BadZipFile): copy or save it again"),
+    (archive({"a.txt": b"1"}), "not a workbook, so it has no sheet 'Messung': leave --sheet out"),
+    (archive({"a.txt": b"1", "b.txt": b"2"}), "an archive of 2 files, a.txt, b.txt: unpack it, and name one"),
     (sheet(HEADS, [0, 0.2, 63], [1, True, 63]), "row 3, column 'feed [m/s]': 'True' is not a finite number"),
     # formulas that were not computed
     (sheet(HEADS, [0, "=1+1", 63], [1, "=1+1", 63]), "row 2, column 'feed [m/s]': no value in the whole column"),
     (sheet(HEADS, [0, 0.2, 63, 7]), "row 2: 4 values for 3 columns - correct that row"),
     (sheet([None]), "empty: a header and rows of numbers are needed; --sheet names another"),
-    (with_part(b"</sheetData>", b"<row/>" * 10**5 + b"</sheetData>"), EMPTY_ROWS),
-    (with_part(b"</sheetData>", b'<row r="1048577"><c><v>1</v></c></row></sheetData>'), EMPTY_ROWS),
-    (sheet(HEADS, [0] * 300), "row 2: more than 256 columns"),
+    (sheet(HEADS, [0] * 300), "row 2: 300 values for 3 columns"),
 ]
 
 
@@ -343,7 +338,7 @@ def test_broken_files_are_refused_in_one_line(tmp_path):
     for content, message, name in cases:
         path.write_bytes(content if isinstance(content, bytes) else content.encode())
         try:
-            failures.append((message, read_log(path, sheet=name)))
+            failures.append((message, read(path, sheet=name)))
         except FileError as error:
             if not str(error).startswith(str(path)) or message not in str(error) or not str(error).isprintable():
                 failures.append((message, str(error)))
@@ -366,27 +361,29 @@ def test_markers_of_missing_values_are_interpolated_and_counted(tmp_path):
     markers = "-999.25 -9999 9999 -999 -7999 6999 -888.88 32767 9.9E+37 1.#QNAN -1.#IND -nan(ind) NAN"
     for marker in markers.split():
         for cells in ([marker, "2.4"], [marker, marker]):
-            log = read_log(rig(path, [*TENSIONS[:3], *cells, *TENSIONS[5:]]))
+            log = read(rig(path, [*TENSIONS[:3], *cells, *TENSIONS[5:]]))
             assert log.measured["root_tension"] == RAMP, marker
             assert log.repairs.missing == cells.count(marker)
             assert len(log.notes) == marker[-1].isdigit()
     for marker in ("Bad", "-1", "0,0", "1.#INF", "+++++++"):
-        log = read_log(rig(path, [*TENSIONS[:3], marker.replace(",", "."), *TENSIONS[4:]]), missing=(marker,))
+        log = read(rig(path, [*TENSIONS[:3], marker.replace(",", "."), *TENSIONS[4:]]), missing=(marker,))
         assert log.measured["root_tension"] == RAMP
         assert log.time[0] == 0.0  # numbers of time are no markers
     las = "~V\nVERS. 2.0:\n~W\nNULL. -1 :\n~C\nTIME.S:\nLENGTH.M:\nAIR.M3/H:\nTENSION.N:\n~A\n"
     path.write_text(las + "\n".join(f"{k} {5 + 0.2 * k:.1f} 63 {-1 if k == 3 else 2 + 0.1 * k}" for k in range(8)))
-    assert read_log(path).measured["root_tension"] == RAMP
+    assert read(path).measured["root_tension"] == RAMP
 
 
 def test_numbers_that_are_no_markers(tmp_path):
     path = rig(tmp_path / "rig.csv", [f"{tension} N" for tension in TENSIONS])
+    assert read(path).measured["root_tension"] == RAMP
+    path.write_text(path.read_text().replace("2.3 N", "2.3 kN"))
     with pytest.raises(FileError, match=r"line 2, column 'tension \[N\]': '2.0 N' is not a.* heading: correct it$"):
-        read_log(path)
-    log = read_log(rig(path, [f"-{600 + k}" if k != 3 else "-999.25" for k in range(8)]))
+        read(path)
+    log = read(rig(path, [f"-{600 + k}" if k != 3 else "-999.25" for k in range(8)]))
     assert log.measured["root_tension"][3] == pytest.approx(-603.0)
     path.write_text("time [s];length [mm];air [m3/h]\n0;9599;63\n1;9799;63\n2;9999;63\n3;10199;63")
-    log = read_log(path)
+    log = read(path)
     assert log.inserted_length[2] == pytest.approx(9.999, abs=1e-6)
     assert (log.repairs.missing, log.notes) == (0, ())
 
@@ -397,38 +394,37 @@ def test_repeated_overload_must_be_declared(tmp_path):
     for marked in (overloads[:1] + overloads[2:3], overloads[:3]):
         rig(path, [*TENSIONS[:3], *marked, *TENSIONS[3 + len(marked) :]])
         with pytest.raises(FileError, match=r"line 5, column 'tension \[N\]': 327.67 repeats.*--missing=327.67"):
-            read_log(path)
-        assert read_log(path, missing=("327.67", "-327.68")).measured["root_tension"] == RAMP
-    assert read_log(path, missing=("nan",)).measured["root_tension"].max() == 327.67
+            read(path)
+        assert read(path, missing=("327.67", "-327.68")).measured["root_tension"] == RAMP
+    assert read(path, missing=("nan",)).measured["root_tension"].max() == 327.67
     path.write_text(HEAD + "".join(f"\n{t};{5 + 0.2 * t:.1f};0.2;{655.35 if t in (3, 4) else 63}" for t in range(8)))
     with pytest.raises(FileError, match=r"line 5, column 'air \[m3/h\]': 655.35 repeats"):
-        read_log(path)
+        read(path)
     path.write_text(HEAD + "".join(f"\n{t};{5 + 0.2 * t:.1f};0.2;{63 if t > 2 else 0.5}" for t in range(8)))
-    assert read_log(path).notes == ()  # the air is switched on
+    assert read(path).notes == ()  # the air is switched on
 
 
 def test_minutes_and_seconds(tmp_path):
     path, clocks = tmp_path / "rig.csv", [f"{k // 60 % 60:02}:{k % 60:02}.5" for k in range(3596, 3604)]
-    log = read_log(rig(path, TENSIONS, times=clocks, time="Time"))
+    log = read(rig(path, TENSIONS, times=clocks, time="Time"))
     assert log.time == pytest.approx(list(range(8)))
     assert log.notes == ("The column 'Time' is read as mm:ss; for hh:mm, --time-format %H:%M.",)
-    log = read_log(rig(path, TENSIONS, times=[f"59:{52 + k}" if k < 8 else f"60:0{k - 8}" for k in range(8)]))
+    log = read(rig(path, TENSIONS, times=[f"59:{52 + k}" if k < 8 else f"60:0{k - 8}" for k in range(8)]))
     assert log.time[-1] == 7.0
     rig(path, TENSIONS[:3], times=["23:59", "00:00", "00:01"])
-    log = read_log(path, bounds=Bounds(gap=60.0), time_format="%H:%M")
+    log = read(path, ("feed=none",), Bounds(gap=60.0), time_format="%H:%M")
     assert log.time[-1] == 120.0
-    assert log.notes[0].startswith("The speed column and the encoder disagree")
     path.write_text("Time [hh:mm];length [m];air [m3/h]\n9:58;5;63\n9:59;5.2;63\n10:00;5.4;63")
-    assert read_log(path, bounds=Bounds(gap=60.0)).time[-1] == 120.0
+    assert read(path, bounds=Bounds(gap=60.0)).time[-1] == 120.0
     path.write_text("Time;length [m];air [m3/h]\n9:58;5;63\n9:59;11;63\n10:00;17;63")
     with pytest.raises(FileError, match=r"the fastest feed is 2 m/s - The column 'Time' is read as mm:ss; for hh:mm"):
-        read_log(path)
+        read(path)
 
 
 def test_times_without_a_unit_are_seconds_in_logs_only(tmp_path):
     path = tmp_path / "plan.csv"
     path.write_text(lines(head=HEAD.replace("time [s]", "Time")))
-    assert read_log(path).notes == ("The column 'Time' has no unit and is read as seconds.",)
+    assert read(path).notes == ("The column 'Time' has no unit and is read as seconds.",)
     path.write_text("Time;feed [m/s];air [m3/h]\n0;0.3;63\n1;0.2;63")
     with pytest.raises(FileError, match="column 'Time' has no unit - correct the file: a schedule has heads like"):
         read_schedule(path)
@@ -444,12 +440,12 @@ def test_the_form_of_times_is_declared(tmp_path):
         "%H%M%S": [f"2359{k}" for k in range(56, 60)] + [f"00000{k}" for k in range(4)],
         "%Y-%j %H:%M:%S": [f"2025-063 09:00:0{k}" for k in range(8)],
     }.items():
-        log = read_log(rig(path, TENSIONS, times=times, time="Time"), time_format=form)
+        log = read(rig(path, TENSIONS, times=times, time="Time"), time_format=form)
         assert log.time == pytest.approx(list(range(8)))
     with pytest.raises(FileError, match="line 2, column 'Time': '2025-063 09:00:00' is not a time of the form '%H:%M'"):
-        read_log(path, time_format="%H:%M")
+        read(path, time_format="%H:%M")
     with pytest.raises(ValueError, match="time_format = '%Q' is not a form of time: 'Q' is a bad directive"):
-        read_log(path, time_format="%Q")
+        read(path, time_format="%Q")
 
 
 def test_unneeded_feed_column_is_left_out(tmp_path):
@@ -461,70 +457,106 @@ def test_unneeded_feed_column_is_left_out(tmp_path):
         ("speed [m/s]", "", "the feed speed, line 2, column 'speed [m/s]': no value in the whole column."),
     ):
         path.write_text(lines(head=f"time [s];length [m];{feed};air [m3/h]", row=f"{{t}};{{x}};{value};{{a}}"))
-        log = read_log(path)
+        log = read(path)
         assert log.notes == (f"Left out, as there is an encoder: {problem}",)
         assert log.feed_speed == pytest.approx([0.2] * 4, abs=1e-5)
         path.write_text(lines(head=f"time;{feed};air [m3/h]", row=f"{{t}};{value};{{a}}"))
         with pytest.raises(FileError):
-            read_log(path)  # here it is needed
+            read(path)  # here it is needed
 
 
 def test_invalid_times_are_refused(tmp_path):
     path, seconds = tmp_path / "rig.csv", range(8)
     for origin in (45_720.5, 738_949.5):  # Excel, MATLAB
-        log = read_log(rig(path, TENSIONS, times=[f"{origin + t / 86_400:.9f}" for t in seconds], time="Time"))
+        log = read(rig(path, TENSIONS, times=[f"{origin + t / 86_400:.9f}" for t in seconds], time="Time"))
         assert log.time == pytest.approx(list(seconds), abs=1e-4)
         assert "is read as serial days" in log.notes[0]
     rig(path, TENSIONS, times=[f"{9.5 + t / 3600:.7f}" for t in seconds], time="Time")
-    with pytest.raises(FileError, match=r"without a unit, rows are less.*--columns 'time=time\[UNIT\]'"):
-        read_log(path)
-    assert read_log(path, ("Time=time[h]",)).time == pytest.approx(list(seconds), abs=1e-3)
+    with pytest.raises(FileError, match=r"without a unit, rows are less.*--columns 'Time=time\[UNIT\]'"):
+        read(path)
+    assert read(path, ("Time=time[h]",)).time == pytest.approx(list(seconds), abs=1e-3)
     with pytest.raises(FileError, match="less than 1 s"):
-        read_log(rig(path, TENSIONS, times=[f"{45_720 + t / 86_400:.9f}" for t in seconds], time="Time [s]"))
-    apart = r"rows are 1000 s apart or more, .*is the unit of time right\? .*'time=time\[UNIT"
+        read(rig(path, TENSIONS, times=[f"{45_720 + t / 86_400:.9f}" for t in seconds], time="Time [s]"))
+    apart = r"rows are 1000 s apart or more, .*is the unit of time right\? .*'Time=time\[UNIT"
     with pytest.raises(FileError, match=apart):
-        read_log(rig(path, TENSIONS, times=[1000 * t for t in seconds], time="Time"))
+        read(rig(path, TENSIONS, times=[1000 * t for t in seconds], time="Time"))
     rig(path, TENSIONS * 20, times=[f"{t / 60:.9f}" for t in range(160)], time="Time")
     with pytest.raises(FileError, match=r"encoder moves 31.8 m, and speed times time is 0.53 m: is the unit of time"):
-        read_log(path)
+        read(path)
     with pytest.raises(FileError, match=r"at 12 m/s, but the fastest feed is 2 m/s - are the units of time and length"):
-        read_log(path, ("feed=none",))
+        read(path, ("feed=none",))
 
 
 def test_a_wrong_unit_is_not_repaired_by_declaring_another(tmp_path):
     path = rig(tmp_path / "rig.csv", TENSIONS, head="tension [V]")
     wrong = (
-        "column 'tension [V]': 'V' is not a unit of root_tension - convert the column to N in the file, or leave it out"
+        "column 'tension [V]': 'V' is not a unit of root_tension - convert the column to N in the file,"
+        " give a factor, --columns 'tension=root_tension[N/1000]', or leave it out"
     )
     for columns in ((), ("tension=root_tension[N]",)):
         with pytest.raises(FileError, match=re.escape(f"{wrong}, --columns 'tension=none'") + "$"):
-            read_log(path, columns)
-    assert "root_tension" not in read_log(path, ("tension=none",)).measured
+            read(path, columns)
+    assert "root_tension" not in read(path, ("tension=none",)).measured
     for unit in ("%", "°C", "1/min", "rpm", "bar", "RPM", "PSI", "LBS"):
         with pytest.raises(FileError, match=f"'{unit}' is not a unit of root_tension - convert the column to N"):
-            read_log(rig(path, TENSIONS, head=f"tension [{unit}]"), ("tension=root_tension[N]",))
+            read(rig(path, TENSIONS, head=f"tension [{unit}]"), ("tension=root_tension[N]",))
 
 
 def test_sizes_and_pipes(tmp_path, monkeypatch):
     path = tmp_path / "rig.xlsx"
     path.write_bytes(BAD.encode() + b"\r\n" + bytes(800))
-    log = read_log(path)
+    log = read(path)
     assert log.inserted_length == pytest.approx([5.0, 5.2, 5.4, 5.6], abs=2e-6)
     assert log.notes == ("800 NUL bytes behind the last line, as of a power cut, were cut off.",)
     path.write_bytes(with_part(b'ref="A1:C3"', b'ref="A1:XFD1048576"'))
-    assert read_log(path, sheet="Messung").repairs.rows == 2
+    assert read(path, sheet="Messung").repairs.rows == 2
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(FileError, match="a pipe or a device"):
-        read_log(tmp_path / "pipe")
-    monkeypatch.setattr("probe_agents.records.workbook.MAX_SHEET_ROWS", 3)
-    many = b"<row></row>" * 10
-    for row in (many, many.replace(b"row", b"x:row")):
-        path.write_bytes(with_part(b"</sheetData>", row + b"</sheetData>"))
-        with pytest.raises(FileError, match=r"sheet2\.xml has more than 3 rows or texts"):
-            read_log(path, sheet="Messung")
-    monkeypatch.setattr("probe_agents.records.reader.MAX_BYTES", 100)
+        read(tmp_path / "pipe")
+    monkeypatch.setattr("probe_agents.records.sources.MAX_BYTES", 100)
     with pytest.raises(FileError, match="bytes are more than the 100"):
-        read_log(path)
+        read(path)
+
+
+def test_passes_of_a_log(tmp_path):
+    path = tmp_path / "rig.csv"
+    way = [5.0, 5.5, 6.0, 6.5, 6.5, 5.9, 5.0, 5.5, 6.1, 6.7]
+    path.write_text("time [s];length [m];air [m3/h]\n" + "\n".join(f"{t};{x};63" for t, x in enumerate(way)))
+    passes = "1: insertion, lines 2 to 6, 5 to 6.5 m; 2: withdrawal, lines 6 to 8, 6.5 to 5 m; 3: insertion, lines 8 to"
+    with pytest.raises(FileError, match=rf"3 passes \({passes} 11, 5 to 6.7 m\): choose one, --pass NUMBER"):
+        read(path)
+    for passage, lengths in {"1": way[:5], "out": [5.0, 5.9, 6.5], "3": way[6:]}.items():
+        log = read(path, passage=passage)
+        assert log.inserted_length == pytest.approx(lengths, abs=1e-3)
+        assert log.time == pytest.approx(range(len(lengths)))
+        assert f"Read is pass {2 if passage == 'out' else passage}" in log.notes[0]
+    path.write_text("time [s];speed [m/s];air [m3/h]\n" + "".join(f"{t};{-0.2};63\n" for t in range(20)))
+    with pytest.raises(FileError, match="negative throughout: is its sign reversed .*or is it a withdrawal"):
+        read(path)
+    assert read(path, passage="out").feed_speed == pytest.approx([0.2] * 20)
+
+
+def test_options_that_do_not_fit(tmp_path):
+    path = tmp_path / "rig.csv"
+    path.write_text(BAD)
+    for options, message in (
+        ({"rate": 10.0}, "the column 'time [s]' is the time: leave --rate out, or --columns 'time=none'"),
+        ({"rate": 0.0}, "rate = 0.0 Hz is outside the accepted range 0.001 to 1e+06 Hz"),
+        ({"passage": "back"}, "pass = 'back' is not in, out or the number of a pass"),
+        ({"passage": "2"}, "one pass (1: insertion, lines 2 to 5, 5 to 5.6 m): a log is of an insertion"),
+        ({"encoding": "cp0"}, "encoding = 'cp0' is not known, unlike utf-8, cp1252, cp932 or cp1251"),
+        ({"sheet": "A"}, "not a workbook, so it has no sheet 'A': leave --sheet out"),
+        ({"decimal": "dot"}, "decimal = 'dot' is not one of auto, point, comma"),
+        ({"columns": ("length=inserted_length[m/0]",)}, "a factor is a finite number with a unit, like [-m/4096]"),
+    ):
+        with pytest.raises(ValueError, match=re.escape(message)):
+            read(path, **options)
+    plan = tmp_path / "plan.csv"
+    plan.write_text("from [m];to [m];feed [m/s];air [m3/h]\n5;25;0.3;63\n26;60;0.2;63")
+    with pytest.raises(
+        FileError, match=r"line 2, column 'to \[m\]': the section does not end where the next one begins"
+    ):
+        read_schedule(plan)
 
 
 def test_invalid_columns_and_bounds_are_refused(tmp_path):
@@ -539,7 +571,7 @@ def test_invalid_columns_and_bounds_are_refused(tmp_path):
         ("feed=feed_speed[kg]",): "column 'feed [m/s]': 'kg' is not a unit of feed_speed",
     }.items():
         with pytest.raises(ValueError, match=re.escape(message)):
-            read_log(path, columns)
+            read(path, columns)
     for bounds, problem in (
         ({"gap": 0.0}, "gap = 0.0 s is outside the accepted range 0.001 to 3600 s"),
         ({"every": 6.0}, "every = 6 s is more than gap = 5 s"),

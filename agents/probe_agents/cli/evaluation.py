@@ -92,6 +92,9 @@ class Evaluate:
     (.safetensors).
     NAME=FILE sets the name in tables, NAME@K=FILE also the training seed.
     shielded:POLICY raises the air supply where the drive would be too low."""
+    sheet: Annotated[str | None, hide_default()] = None
+    """Sheet of the workbooks among the schedules (FILE.xlsx#SHEET names one of one file); default: the first with known
+    headings."""
     probes: Literal["scene", "random"] = "scene"
     """scene: the probe of the task; random: another probe of the design space for every tube and seed."""
     against: Annotated[str | None, hide_default()] = None
@@ -131,6 +134,7 @@ class Evaluate:
         from probe_agents.evaluation.run import evaluate, report_again
         from probe_agents.evaluation.statistics import BAR
         from probe_agents.policies.catalogue import is_schedule_file
+        from probe_agents.records.sources import with_sheet
 
         folder = Path(self.policies[0] if len(self.policies) == 1 else "policies")
         named = folder.is_dir() and len(folder.parts) != 1 and not folder.suffix
@@ -139,11 +143,15 @@ class Evaluate:
             print_line(f"report of the stored evaluation {folder}: nothing is simulated")
             print_line(f"written: {report}")
             return
-        arguments: dict[str, Any] = vars(self) | {"fidelity": parse_fidelity(self.fidelity)}
-        lone = len(self.policies) == 1 and is_schedule_file(self.policies[0]) and not self.strict
+        policies = tuple(with_sheet(policy, self.sheet) for policy in self.policies) if self.sheet else self.policies
+        if self.sheet and policies == self.policies:
+            raise ValueError(f"sheet = {self.sheet!r}: none of the policies is a workbook: leave --sheet out")
+        arguments: dict[str, Any] = vars(self) | {"fidelity": parse_fidelity(self.fidelity), "policies": policies}
+        del arguments["sheet"]
+        lone = len(policies) == 1 and is_schedule_file(policies[0]) and not self.strict
         if lone:
-            print_line(f"one schedule, {self.policies[0]}: {BAR} is added for comparison")
-            arguments |= {"policies": (*self.policies, BAR), "against": self.against or BAR}
+            print_line(f"one schedule, {policies[0]}: {BAR} is added for comparison")
+            arguments |= {"policies": (*policies, BAR), "against": self.against or BAR}
         evaluate(**arguments)
 
 

@@ -3,12 +3,13 @@
 from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import tyro
 
 from probe_agents.cli.parsing import File, hide_default
 from probe_agents.evaluation.workers import Workers
+from probe_agents.records.cells import ReadOptions
 from probe_agents.terminal.tables import print_line
 
 
@@ -21,14 +22,7 @@ class ReadLog:
 
     file: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="LOG")]]
     """Log file, or the name of a shipped log: example-rig."""
-    columns: tyro.conf.UseAppendAction[Annotated[tuple[str, ...], tyro.conf.arg(metavar="HEAD=QUANTITY[UNIT]")]] = ()
-    """Quantities of columns with unrecognised headings: "Vorschub [mm/s]=feed_speed", "v=feed_speed[mm/s]". Repeatable.
-    Quantities: time, date and fraction (of a clock in another column), inserted_length, feed_speed, air_supply,
-    root_tension, radial_acceleration_rms, axial_acceleration_rms, rf_noise_rms; none: leave the column out."""
-    missing: tyro.conf.UseAppendAction[Annotated[tuple[str, ...], tyro.conf.arg(metavar="VALUE")]] = ()
-    """Text or number that marks a missing value, in addition to NaN, -999.25, 9999 and the like. Repeatable."""
-    time_format: str = ""
-    """Form of the times for strptime, like "%d.%m.%y %H:%M:%S"; default: detected."""
+    reading: tyro.conf.OmitArgPrefixes[ReadOptions] = field(default_factory=ReadOptions)
     output: File = None
     """Clean file (.csv), or - to print it and nothing else; default: output/NAME-clean.csv."""
     tube: File = None
@@ -36,12 +30,6 @@ class ReadLog:
     (NAME-to-repeat.csv) and a schedule of them (repeat-NAME.csv) next to the clean file."""
     plot: File = None
     """Figure of all channels over time and length (.png, .pdf or .svg)."""
-    sheet: Annotated[str | None, hide_default()] = None
-    """Sheet of an Excel workbook; default: the first."""
-    decimal: Literal["auto", "point", "comma"] = "auto"
-    """Decimal sign; auto: from the file."""
-    air_supply: Annotated[float | None, hide_default()] = None
-    """Air supply, for a log without this column [m3/h]."""
     start_length: float = 5.0
     """Inserted length at the start, for a log without an encoder [m]."""
     every: float = 1.0
@@ -79,17 +67,7 @@ class ReadLog:
             )
         if case and output in STANDARD_OUTPUT:
             raise ValueError("tube: the metres to repeat are files next to --output, which is - here")
-        air = None if self.air_supply is None else self.air_supply / 3600.0
-        log = read_log(
-            path,
-            self.columns,
-            bounds=bounds,
-            sheet=self.sheet,
-            decimal=self.decimal,
-            air_supply_rate=air,
-            missing=self.missing,
-            time_format=self.time_format,
-        )
+        log = read_log(path, self.reading, bounds)
         write_text(output, log.to_csv())
         written = [output, *([draw_log(log, self.plot)] if self.plot else [])]
         if output not in STANDARD_OUTPUT:
@@ -119,12 +97,7 @@ class Calibrate:
     """Helix diameter of the tube of each log [m], or one for all; needed if the tube file lists several."""
     tubes: Annotated[tuple[str, ...], hide_default("NAME ...")] = ()
     """Name of the tube of each log; logs of one tube share a friction. Default: one tube for each helix diameter."""
-    columns: tyro.conf.UseAppendAction[Annotated[tuple[str, ...], tyro.conf.arg(metavar="HEAD=QUANTITY[UNIT]")]] = ()
-    """Quantities of columns with unrecognised headings, see `probe-env log --help`."""
-    missing: tyro.conf.UseAppendAction[Annotated[tuple[str, ...], tyro.conf.arg(metavar="VALUE")]] = ()
-    """Text or number that marks a missing value, see `probe-env log --help`."""
-    time_format: str = ""
-    """Form of the times for strptime, see `probe-env log --help`."""
+    reading: tyro.conf.OmitArgPrefixes[ReadOptions] = field(default_factory=ReadOptions)
 
     def run(self) -> None:
         """Read, sample, store, print."""
@@ -140,8 +113,7 @@ class Calibrate:
 
         plant, target = plant_at(self.tube) or Plant(), self.output / "calibration.json"
         tube_text = calibration.tube_file(self.write_tube, target, self.tube) if self.write_tube else ""
-        arguments = self.columns, self.missing, self.time_format
-        cases = calibration.read_cases(self.logs, plant, self.helix_diameters, self.tubes, *arguments)
+        cases = calibration.read_cases(self.logs, plant, self.helix_diameters, self.tubes, self.reading)
         result = calibration.calibrate(cases, plant, stored_response(), str(self.tube or "tube"))
         write_json(target, result.to_json() | {"provenance": origin()})
         corner = calibration.draw_corner(result, self.output / "corner.png")

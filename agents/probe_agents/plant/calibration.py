@@ -21,9 +21,10 @@ from probe_agents.plant.inference import (
     fit_sliding,
     sample_posterior,
 )
-from probe_agents.plant.logs import read_log
+from probe_agents.plant.logs import DETECTED, read_log
 from probe_agents.plant.prior import UNKNOWNS, Prior, prior_of
 from probe_agents.plant.response import CHANNELS, Response, metres_of
+from probe_agents.records.cells import ReadOptions
 from probe_agents.records.quantities import HOUR
 from probe_agents.records.shipped import file_or_shipped
 from probe_agents.terminal.names import name_of, name_problem
@@ -75,6 +76,7 @@ class Calibration:
         """Reasons why the model cannot have produced these logs, as texts; empty if it can."""
         reasons, limits = [], self.posterior.likelihood.response.misfit
         for case, misfit, gauge in zip(self.cases, self.posterior.misfit, self.gains, strict=True):
+            reasons += [f"{case.name}: the column {fault}" for fault in case.faults]
             if gauge and gauge.ratio > LIMIT:
                 reasons.append(
                     f"{case.name}: the root tension looks {abs(gauge.gain - 1.0):.0%} too"
@@ -147,9 +149,7 @@ def read_cases(
     plant: Plant,
     helix_diameters: Sequence[float],
     tubes: Sequence[str],
-    columns: Sequence[str],
-    missing: Sequence[str] = (),
-    time_format: str = "",
+    options: ReadOptions = DETECTED,
 ) -> list[LogCase]:
     """Read the logs and assign their tubes; all arguments are checked before the first log is read.
 
@@ -158,12 +158,12 @@ def read_cases(
         plant: scene, and the diameters of its helices.
         helix_diameters: [m], one for all logs, one each, or none for those of the plant.
         tubes: name of the tube of each log; logs of one tube share its friction. Empty: one tube a diameter.
-        columns: HEAD=QUANTITY[UNIT], as of ``probe-env log``.
-        missing: markers of missing values.
-        time_format: form of the times, such as %H:%M.
+        options: what the files do not say themselves.
     """
     if not paths:
         raise ValueError("logs: at least one is needed")
+    if options.passage == "out":
+        raise ValueError("pass = 'out': calibration is of insertions, in which friction has another sign")
     diameters = list(helix_diameters) or list(plant.diameters)
     if len(diameters) == 1:
         diameters *= len(paths)
@@ -192,7 +192,9 @@ def read_cases(
     cases = []
     for label, file, tube, diameter in zip(labels, files, names, diameters, strict=True):
         scene = plant.scene.model_copy(update={"tube": {"helix_diameter": diameter}})
-        log = read_log(file, columns, missing=missing, time_format=time_format)
+        log = read_log(file, options)
+        if fatal := next((fault.text for fault in log.faults if fault.fatal), ""):
+            raise FileError(file, f"column {fatal}")
         metres = metres_of(log)
         minimum = metres.feed / air_speed(scene, 1.0)
         if (slow := metres.air <= minimum).any():
@@ -200,7 +202,8 @@ def read_cases(
             problem = f"air_supply = {HOUR * metres.air[k]:.4g} m3/h at an inserted length of {metres.length[k]:g} m"
             hint = f"calibration needs air that is faster than the feed, there more than {HOUR * minimum[k]:.3g} m3/h"
             raise FileError(file, f"{problem}: {hint} - is the column or its unit wrong?")
-        cases.append(LogCase(label, tube, scene, metres))
+        faults = tuple(fault.text for fault in log.faults if fault.channel in CHANNELS)
+        cases.append(LogCase(label, tube, scene, metres, faults))
     return cases
 
 

@@ -1,12 +1,13 @@
 """Repairs of a recorded log, which are bounded and counted, and thinning to fewer rows."""
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
-from probe_agents.records.quantities import QUANTITIES, normalized, split_head
-from probe_agents.records.reader import Channels, IntArray, Table
+from probe_agents.records.cells import IntArray, Table
+from probe_agents.records.quantities import MEASURED, QUANTITIES
+from probe_agents.records.reader import Channels
 from probe_agents.records.times import DAY
 from probe_env.arrays import FloatArray
 from probe_env.files import FileError
@@ -26,7 +27,15 @@ STANDSTILL: Final = 2e-3
 DWELL: Final = 1.0
 """Duration of the shortest standstill [s]."""
 WRONG_UNIT: Final = 10.0
-"""Ratio of the encoder's motion to the integrated speed from which a unit is wrong."""
+"""Ratio of the encoder's motion and the integrated speed from which a unit is wrong."""
+TURN: Final = 1.0
+"""Motion back from which another pass begins [m]; ``Bounds.backward`` is at most this."""
+COARSE: Final = 10
+"""Steps of a coarse encoder over which the feed is averaged."""
+STUCK: Final = 0.1
+"""Share of a log in which a measured channel that does not change by a digit is told."""
+STUCK_ROWS: Final = 20
+"""Fewest rows of that."""
 SHORTEST: Final = 1.0
 """Duration of the shortest log [s]; less has another unit of time."""
 ROUNDS: Final = 12
@@ -68,6 +77,14 @@ class Repairs:
     max_backward: float = 0.0  # [m]
 
 
+class Fault(NamedTuple):
+    """What is wrong with a measured channel; with a ``fatal`` one nothing can be estimated from it."""
+
+    channel: str
+    text: str
+    fatal: bool
+
+
 @dataclass(frozen=True)
 class CleanLog:
     """A repaired log at its original rows.
@@ -84,13 +101,16 @@ class CleanLog:
     notes: tuple[str, ...]  # messages about contradictions in the log
     rows: IntArray  # (n,) index of the row of the table
     gaps: FloatArray  # (g, 2) begin and end of gaps in time and of missing eddy-current noise [s]
+    faults: tuple[Fault, ...]
 
 
-def clean(channels: Channels, bounds: Bounds) -> CleanLog:
-    """Repair a log; a repair outside the bounds is a FileError with lines, column and value."""
+def clean(channels: Channels, bounds: Bounds, passage: str = "") -> CleanLog:
+    """Repair a log, or one of its passes; a repair outside the bounds is a FileError with lines, column and value."""
     table = channels.table
     timed = np.flatnonzero(~np.isnan(channels.time))
     time, values, rows = _merged(channels, timed, bounds)
+    merged, notes = len(timed) - len(rows), list(channels.notes)
+    time, values, rows = _one_pass(channels, time, values, rows, passage, notes)
     steps = np.diff(time)
     _check_gaps(table, rows, steps, "no rows", bounds.gap)
     usual = max(float(np.median(steps)), bounds.every if table.steps else 0.0)
@@ -100,8 +120,8 @@ def clean(channels: Channels, bounds: Bounds) -> CleanLog:
         gap |= np.isnan(values[NOISE][:-1])
     gaps = np.column_stack([time[:-1], time[1:]])[gap]
     count = len(table.lines)
-    repairs = Repairs(count, count - len(timed), len(timed) - len(rows), len(long), float(long.max(initial=0.0)))
-    notes = channels.notes
+    repairs = Repairs(count, count - len(timed), merged, len(long), float(long.max(initial=0.0)))
+    stuck = {name: _stuck(time, values[name]) for name in MEASURED if name in values}
     for name, column in list(values.items()):
         repairs.missing += int(np.isnan(column).sum())
         try:
@@ -109,29 +129,9 @@ def clean(channels: Channels, bounds: Bounds) -> CleanLog:
         except FileError as error:
             if name != "feed_speed" or "inserted_length" not in values:
                 raise
-            notes += (f"Left out, as there is an encoder: the feed speed, {error.problem}.",)
+            notes.append(f"Left out, as there is an encoder: the feed speed, {error.problem}.")
             values.pop(name)
-    speed, encoder = values.pop("feed_speed", None), values.pop("inserted_length", None)
-    length = encoder
-    if speed is not None:
-        means = speed[:-1] if table.steps else 0.5 * (speed[1:] + speed[:-1])
-        fed = np.concatenate([[0.0], np.cumsum(means * steps)])
-        if length is None:
-            length = bounds.start_length + fed
-        else:
-            by_encoder, (absolute, relative) = length - length[0], AGREEMENT
-            if by_encoder[-1] > WRONG_UNIT * fed[-1] > WRONG_UNIT * absolute:
-                problem = f"the encoder moves {by_encoder[-1]:.4g} m, and speed times time is {fed[-1]:.4g} m"
-                hint = "is the unit of time, length or speed right? --columns 'HEAD=none' leaves the speed out"
-                raise table.error(rows[-1], f"{problem}: {hint}", channels.indices["feed_speed"])
-            excess = np.abs(fed - by_encoder) - (absolute + relative * np.abs(by_encoder))
-            if excess[k := int(excess.argmax())] > 0.0:
-                notes += (
-                    f"The speed column and the encoder disagree: {fed[k]:.4g} m and {by_encoder[k]:.4g} m up to"
-                    f" {time[k]:.4g} s differ by more than {absolute:g} m and {100 * relative:g} %;"
-                    " the encoder is used.",
-                )
-    assert length is not None  # the log has one of both
+    length, is_encoder = _length(channels, time, values, bounds, notes)
     high = np.maximum.accumulate(length)
     backward, maximum = high - length, POSITIONS["inserted_length_m"][1]
     if (moving_back := backward > bounds.backward).any():
@@ -139,15 +139,168 @@ def clean(channels: Channels, bounds: Bounds) -> CleanLog:
         problem = (
             f"the probe moves back to {length[row]:.6g} m from {high[row]:.6g} m, more than the {bounds.backward:g} m"
         )
-        hint = "that count as noise - a log must be of an insertion: cut the file there, or raise --backward"
-        name = "feed_speed" if encoder is None else "inserted_length"
+        hint = f"that count as noise: cut the file there, or --backward {backward.max() + 5e-3:.2f}"
+        name = "inserted_length" if is_encoder else "feed_speed"
         raise table.error(rows[row], f"{problem} {hint}", channels.indices[name])
     if length.max() > maximum:
         raise table.error(rows[int(length.argmax())], f"a length of {length.max():.6g} m is more than {maximum:g} m")
     low = np.minimum.accumulate(length[::-1])[::-1]
     repairs.backward, repairs.max_backward = int((backward > 0.0).sum()), float(backward.max())
     rising = np.where(low == high, length, 0.5 * (low + high))  # the middle of the band
-    return CleanLog(time, rising, (low, high), values, repairs, notes, rows, gaps)
+    faults = tuple(_faults(channels, time, rising, values, stuck))
+    return CleanLog(time, rising, (low, high), values, repairs, tuple(notes), rows, gaps, faults)
+
+
+def _length(
+    channels: Channels, time: FloatArray, values: dict[str, FloatArray], bounds: Bounds, notes: list[str]
+) -> tuple[FloatArray, bool]:
+    """Inserted length (n,) [m] of the encoder, or of the integrated speed, and whether it is of the encoder."""
+    table, steps = channels.table, np.diff(time)
+    speed, encoder = values.pop("feed_speed", None), values.pop("inserted_length", None)
+    fed = None
+    if speed is not None:
+        means = speed[:-1] if table.steps else 0.5 * (speed[1:] + speed[:-1])
+        fed = np.concatenate([[0.0], np.cumsum(means * steps)])
+    if encoder is None:
+        assert fed is not None  # the log has one of both
+        return bounds.start_length + fed, False
+    moves = np.flatnonzero(np.diff(encoder))
+    coarse = len(moves) > COARSE and np.median(np.diff(moves)) > 1.0  # most moves are alone
+    step = float(np.median(np.abs(np.diff(encoder)[moves]))) if coarse else 0.0
+    if speed is not None and fed is not None:
+        by_encoder, absolute, relative = encoder - encoder[0], AGREEMENT[0] + step, AGREEMENT[1]
+        small, large = sorted((abs(by_encoder[-1]), abs(fed[-1])))
+        if large > WRONG_UNIT * max(small, absolute) and small > 0.0:
+            problem = f"the encoder moves {by_encoder[-1]:.4g} m, and speed times time is {fed[-1]:.4g} m"
+            k = channels.indices["feed_speed"]
+            declared = table.option(channels.indices["time"], "time", "UNIT")
+            hint = f"is the unit of time, length or speed right? Declare it, {declared}"
+            raise table.error(0, f"{problem}: {hint}", k)
+        excess = np.abs(fed - by_encoder) - (absolute + relative * np.abs(by_encoder))
+        if excess[k := int(excess.argmax())] > 0.0:
+            why = " (the sign of the speed is reversed)" if speed.max() <= 0.0 and fed[-1] < 0.0 else ""
+            notes.append(
+                f"The speed column and the encoder disagree{why}: {fed[k]:.4g} m and {by_encoder[k]:.4g} m up to"
+                f" {time[k]:.4g} s differ by more than {absolute:g} m and {100 * relative:g} %; the encoder is used."
+            )
+            fed = None
+    if table.steps or step <= 2.0 * bounds.tolerance:
+        return encoder, True
+    # the encoder tells the length where it moves; between, speed or average
+    if fed is not None:
+        nodes, how = moves + 1, "by the speed column"
+        length = fed + np.interp(time, time[nodes], (encoder - fed)[nodes])
+    else:
+        nodes, how = np.unique([0, *(moves[::COARSE] + 1), moves[-1] + 1]), f"the average over {COARSE} steps"
+        last = nodes[-1]
+        slope = (encoder[last] - encoder[nodes[-2]]) / (time[last] - time[nodes[-2]])
+        end = encoder[last] + min(step, slope * (time[-1] - time[last]))
+        length = np.interp(time, [*time[nodes], time[-1]], [*encoder[nodes], end])
+    notes.append(
+        f"The encoder's steps of {step:.3g} m are coarse for rows {np.median(steps):.3g} s apart: feed is {how}."
+    )
+    return np.maximum.accumulate(length), True
+
+
+def _one_pass(
+    channels: Channels,
+    time: FloatArray,
+    values: dict[str, FloatArray],
+    rows: IntArray,
+    passage: str,
+    notes: list[str],
+) -> tuple[FloatArray, dict[str, FloatArray], IntArray]:
+    """The rows of one pass: time (n,), values (n,) and rows (n,) as of ``_merged``; a withdrawal from its end."""
+    table, speed, encoder = channels.table, values.get("feed_speed"), values.get("inserted_length")
+    motion = encoder if encoder is not None and np.isfinite(encoder).any() else None
+    if motion is None and speed is not None:
+        motion = np.concatenate([[0.0], np.cumsum(np.nan_to_num(speed[:-1]) * np.diff(time))])
+        present = speed[~np.isnan(speed)]
+        if not passage and motion[-1] < -TURN and (present <= 0.0).all():
+            k = channels.indices["feed_speed"]
+            turned = table.option(k, "feed_speed", f"-{table.written_unit(k) or 'm/s'}")
+            hint = f"is its sign reversed ({turned}), or is it a withdrawal (--pass out)?"
+            raise table.error(rows[0], f"the feed is negative throughout: {hint}", k)
+    if motion is None:
+        return time, values, rows
+    valid = np.flatnonzero(np.isfinite(motion))
+    passes = _passes(np.interp(time, time[valid], motion[valid]))
+    texts = [
+        f"{k}: {'insertion' if inward else 'withdrawal'},"
+        f" {table.row_word}s {table.lines[rows[a]]} to {table.lines[rows[b - 1]]},"
+        f" {motion[valid[np.searchsorted(valid, a)]]:.4g} to {motion[valid[np.searchsorted(valid, b) - 1]]:.4g} m"
+        for k, (a, b, inward) in enumerate(passes, start=1)
+    ]
+    wanted = passage or "in"
+    found = [k for k, one in enumerate(passes, start=1) if wanted in (str(k), "in" if one[2] else "out")]
+    if len(found) != 1:
+        problem = f"{len(passes)} passes ({'; '.join(texts)})" if len(passes) > 1 else f"one pass ({texts[0]})"
+        hint = "choose one, --pass NUMBER" if len(passes) > 1 else "a log is of an insertion"
+        if passes[0][2:] == (False,) and len(passes) == 1:
+            problem = f"no insertion ({texts[0][3:]})"
+            hint = "--pass out reads a withdrawal from its end, as if time ran backwards"
+        raise FileError(table.path, f"{problem}: {hint}")
+    begin, end, inward = passes[found[0] - 1]
+    if len(passes) > 1 or not inward:
+        how = ", from its end" * (not inward)
+        notes.append(f"Read is pass {found[0]}{how}, of {len(passes)}: {'; '.join(texts)}.")
+    part = slice(begin, end)
+    time, values, rows = time[part] - time[begin], {name: v[part] for name, v in values.items()}, rows[part]
+    if inward:
+        return time, values, rows
+    values = {name: v[::-1] * (-1.0 if name == "feed_speed" else 1.0) for name, v in values.items()}
+    return time[-1] - time[::-1], values, rows[::-1]
+
+
+def _passes(length: FloatArray) -> list[tuple[int, int, bool]]:
+    """Begin, end and whether it is inward of the motions (n,) [m] that turn back by ``TURN``."""
+    turned_back = np.maximum.accumulate(length) - length
+    if turned_back.max() < TURN:
+        return [(0, len(length), True)]
+    turns, begin, extreme, inward = list[tuple[int, int, bool]](), 0, 0, True
+    low = high = 0
+    for k, x in enumerate(length.tolist()):
+        low, high = (k if x <= length[low] else low), (k if x >= length[high] else high)
+        back = length[high] - x if inward else x - length[low]
+        if back >= TURN:
+            extreme = high if inward else low
+            if length[extreme] - length[begin] >= TURN if inward else length[begin] - length[extreme] >= TURN:
+                turns.append((begin, extreme + 1, inward))
+                begin = extreme
+            inward, low, high = not inward, k, k
+    return [*turns, (begin, len(length), inward)]
+
+
+def _stuck(time: FloatArray, values: FloatArray) -> tuple[int, int] | None:
+    """First and last row of the longest time in which values (n,) do not change; None if it is short."""
+    edges = np.concatenate([[0], np.flatnonzero(np.diff(values) != 0.0) + 1, [len(values)]])
+    k = int((time[edges[1:] - 1] - time[edges[:-1]]).argmax())
+    first, last = int(edges[k]), int(edges[k + 1]) - 1
+    long = time[last] - time[first] >= STUCK * time[-1] and last - first + 1 >= STUCK_ROWS
+    return (first, last) if long else None
+
+
+def _faults(
+    channels: Channels,
+    time: FloatArray,
+    length: FloatArray,
+    values: dict[str, FloatArray],
+    stuck: dict[str, tuple[int, int] | None],
+) -> list[Fault]:
+    """What is wrong with the measured channels."""
+    table, faults = channels.table, list[Fault]()
+    for name, rows in stuck.items():
+        k, unit = channels.indices[name], QUANTITIES[name].unit
+        if rows:
+            (begin, end), (first, last) = time[[*rows]], length[[*rows]]
+            text = f"{table.heads[k]!r} does not change by a digit from {begin:.4g} to {end:.4g} s"
+            faults.append(Fault(name, f"{text} ({first:.4g} to {last:.4g} m)", False))
+        if (values[name] < 0.0).all():
+            turned = table.option(k, name, f"-{table.written_unit(k) or unit}")
+            faults.append(
+                Fault(name, f"{table.heads[k]!r} is negative throughout: is its sign reversed? {turned}", True)
+            )
+    return faults
 
 
 def _merged(channels: Channels, rows: IntArray, bounds: Bounds) -> tuple[FloatArray, dict[str, FloatArray], IntArray]:
@@ -157,9 +310,7 @@ def _merged(channels: Channels, rows: IntArray, bounds: Bounds) -> tuple[FloatAr
         problem = f"{len(rows)} rows have a time" if len(rows) else "the whole column is empty"
         raise table.error(0, f"{problem}: at least two rows with a time are needed", k)
     number = not channels.written_out
-    unit = (
-        f"is the unit of time right? - declare it, --columns '{normalized(split_head(table.heads[k])[0])}=time[UNIT]'"
-    )
+    unit = f"is the unit of time right? - declare it, {table.option(k, 'time', 'UNIT')}"
     time = np.round(channels.time[rows] - channels.time[rows[0]], DIGITS)
     steps, maximum = np.diff(time), POSITIONS["time_s"][1]
     if steps.min() < 0.0:
@@ -167,7 +318,9 @@ def _merged(channels: Channels, rows: IntArray, bounds: Bounds) -> tuple[FloatAr
         cell = table.columns[k][rows[row]].as_py()
         problem = f"the time {cell[:40]!r} is {-steps[row - 1]:.6g} s before the row above"
         half_day = channels.written_out and abs(steps[row - 1] + 0.5 * DAY) < 60.0
-        hint = "a 12-hour clock without AM or PM? Export it with 24 hours" if half_day else "sort or cut the file"
+        hint = "was the clock set back, or are rows out of order? Correct the times from there on"
+        if half_day:
+            hint = "a 12-hour clock without AM or PM? Export it with 24 hours"
         raise table.error(rows[row], f"{problem}: {hint}", k)
     if time[-1] == 0.0:
         raise table.error(rows[-1], "the time never changes: is this the column of time?", k)

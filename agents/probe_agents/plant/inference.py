@@ -51,12 +51,13 @@ Z90: Final = 1.645
 
 
 class LogCase(NamedTuple):
-    """A log to fit: name, name of its tube (logs of one tube share a friction), scene and metres."""
+    """A log to fit: name, name of its tube (logs of one tube share a friction), scene, metres and faults, as texts."""
 
     name: str
     tube: str
     scene: Scene
     metres: Metres
+    faults: tuple[str, ...] = ()
 
 
 class Posterior(NamedTuple):

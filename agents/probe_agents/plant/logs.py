@@ -1,8 +1,8 @@
 """Logs of inspection rigs: read, repaired and thinned to a clean file that commands accept as a schedule."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final, NamedTuple
@@ -15,6 +15,7 @@ from probe_agents.plant.cleaning import (
     DWELL,
     NOISE,
     Bounds,
+    Fault,
     Repairs,
     clean,
     group_means,
@@ -24,16 +25,17 @@ from probe_agents.plant.cleaning import (
 )
 from probe_agents.policies.cases import EvaluationCase
 from probe_agents.records.atomic import write_atomically
-from probe_agents.records.quantities import HOUR, MEASURED, QUANTITIES, parse_columns
-from probe_agents.records.reader import IntArray, read_channels
+from probe_agents.records.cells import IntArray, ReadOptions
+from probe_agents.records.quantities import HOUR, MEASURED, QUANTITIES
+from probe_agents.records.reader import read_channels
+from probe_agents.records.sources import file_and_sheet
 from probe_agents.terminal.tables import print_table, print_terms
 from probe_env.arrays import FloatArray
 from probe_env.envs.task import TaskConfig
 from probe_env.files import FileError, one_line
-from probe_env.schedule import AIR, CSV_COMMENT, FEED, MAX_POINTS, RANGES
-from probe_env.settings import within
+from probe_env.schedule import CSV_COMMENT, FEED, MAX_POINTS, RANGES
 
-DECIMALS: Final[Mapping[str, str]] = {"auto": "", "point": ".", "comma": ","}
+DETECTED: Final = ReadOptions()
 USUAL: Final = Bounds()
 PICTURES: Final = (".png", ".pdf", ".svg")
 DWELLS_SHOWN: Final = 10
@@ -63,6 +65,7 @@ class Log:
         notes: messages about contradictions in the log.
         deviation: largest distance of the interpolated length from the band of ``CleanLog`` [m].
         gaps: (g, 2) inserted lengths between which rows or eddy-current noise are missing [m].
+        faults: what is wrong with measured channels.
     """
 
     time: FloatArray
@@ -74,6 +77,7 @@ class Log:
     notes: tuple[str, ...] = ()
     deviation: float = 0.0
     gaps: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
+    faults: tuple[Fault, ...] = ()
 
     @property
     def dwells(self) -> tuple[Dwell, ...]:
@@ -102,39 +106,21 @@ class Log:
         return "\n".join(lines) + "\n"
 
 
-def read_log(
-    path: str | Path,
-    columns: Sequence[str] = (),
-    *,
-    bounds: Bounds = USUAL,
-    sheet: str | None = None,
-    decimal: str = "auto",
-    air_supply_rate: float | None = None,
-    missing: Sequence[str] = (),
-    time_format: str = "",
-) -> Log:
-    """Read the log of an inspection rig: text with any separator, or an Excel sheet.
+def read_log(path: str | Path, options: ReadOptions = DETECTED, bounds: Bounds = USUAL) -> Log:
+    """Read the log of an inspection rig: text with any separator, a workbook, or a table of pandas.
 
     Args:
-        path: file.
-        columns: "HEAD=QUANTITY" or "HEAD=QUANTITY[UNIT]" for unknown headings.
+        path: file; "FILE#SHEET" names a sheet of a workbook.
+        options: what the file does not say itself.
         bounds: limits of repairs and thinning.
-        sheet: sheet of a workbook; None: the first.
-        decimal: "point", "comma", or "auto": from the file.
-        air_supply_rate: air of a log without that column [m3/s].
-        missing: texts and numbers that mark missing values, in addition to NaN, -999.25 and the like.
-        time_format: form of the column of time for ``strptime``, like "%d.%m.%y %H:%M:%S"; empty: detected.
 
     Raises:
         FileError: the log cannot be read or repaired; names line, column, value and remedy.
     """
-    path, options = Path(path), parse_columns(columns)
-    if decimal not in DECIMALS:
-        raise ValueError(f"decimal = {decimal!r} is not one of {', '.join(DECIMALS)}")
-    if air_supply_rate is not None:
-        within("air_supply", HOUR * air_supply_rate, 0.0, RANGES[AIR][1], "m3/h")
-    channels = read_channels(path, sheet, options, DECIMALS[decimal], air_supply_rate, missing, time_format)
-    table, whole = channels.table, clean(channels, bounds)
+    path, sheet = file_and_sheet(path)
+    options = options if sheet is None else replace(options, sheet=sheet)
+    channels = read_channels(path, options)
+    table, whole = channels.table, clean(channels, bounds, options.passage)
     fraction = 0.49 * bounds.tolerance  # for standstills and for interpolation; the rest is for rounding
     rows: IntArray
     if table.steps:  # already a clean file
@@ -162,7 +148,7 @@ def read_log(
     deviation = float(outside(whole.time, rows, length, whole.band).max())
     speed, air, measured = np.append(speed, speed[-1]), values.pop("air_supply"), MappingProxyType(values)
     gaps = np.interp(whole.gaps, time, rounded)
-    return Log(time, rounded, speed, air, measured, whole.repairs, whole.notes, deviation, gaps)
+    return Log(time, rounded, speed, air, measured, whole.repairs, whole.notes, deviation, gaps, whole.faults)
 
 
 def log_segments(log: Log, config: TaskConfig) -> Segments:
@@ -249,7 +235,7 @@ def print_log(log: Log, path: Path) -> None:
         title = f"standstills, the first {DWELLS_SHOWN}" if len(dwells) > DWELLS_SHOWN else "standstills"
         rows_of_dwells = [(f"{d.inserted_length:.3f}", f"{d.time:.2f}", f"{d.duration:.2f}") for d in dwells]
         print_table(title, ("at [m]", "from [s]", "lasting [s]"), rows_of_dwells[:DWELLS_SHOWN], left=0)
-    for text in log.notes:
+    for text in (*log.notes, *(f"The column {fault.text}." for fault in log.faults)):
         print_terms({"note": text})
     config, stops = TaskConfig(), "alternates stops and starts below it, and lags above it"
     for name, values, (low, high), unit, scale, effect in (

@@ -17,13 +17,14 @@ from probe_agents.policies.policy import Domain, Policy
 from probe_agents.policies.wrappers import PREFIX, RoundTripPolicy, Shielded, fastest_withdrawal, insertion_task
 from probe_agents.records.reader import read_schedule, read_withdrawal
 from probe_agents.records.shipped import policy_file, shipped_agents, shipped_names, ships
+from probe_agents.records.sources import WORKBOOKS, file_and_sheet
 from probe_agents.terminal.names import checked_name, name_of
 from probe_env.envs.task import TaskConfig
 from probe_env.envs.vibration_map import VibrationMap, check_measure, stored_map
 from probe_env.files import one_line
 from probe_env.schedule import Schedule
 
-SCHEDULES: Final = (".csv", ".toml", ".xlsx")
+SCHEDULES: Final = (".csv", ".toml", *WORKBOOKS)
 FILES: Final = (*SCHEDULES, ".json", ".safetensors")
 DATA: Final = Path(__file__).parent / "data"
 STORED: Final = ("best-constant", "best-schedule")
@@ -71,13 +72,13 @@ def _is_known(spec: str) -> bool:
 
 
 def _is_file(spec: str) -> bool:
-    path = Path(spec.removeprefix(PREFIX))
+    path, _ = file_and_sheet(spec.removeprefix(PREFIX))
     return path.suffix in FILES and path.exists()
 
 
 def is_schedule_file(argument: str) -> bool:
     """Whether a policy argument is a schedule file of the user."""
-    return bool(user_policies([argument])) and name_and_spec(argument)[1].endswith(SCHEDULES)
+    return bool(user_policies([argument])) and file_and_sheet(name_and_spec(argument)[1])[0].suffix in SCHEDULES
 
 
 def user_policies(specs: Sequence[str]) -> list[str]:
@@ -110,7 +111,7 @@ def make_policy(spec: str, config: TaskConfig, vibration: VibrationMap | None = 
             raise ValueError(f"policy = {spec!r}: the shield needs a policy that acts on observations, not a planner")
         return Shielded(config, make_policy(spec.removeprefix(PREFIX), config, vibration, classes))
     spec = policy_file(spec)
-    suffix = Path(spec).suffix
+    suffix = file_and_sheet(spec)[0].suffix
     if spec in BUILT_IN:
         kind, arguments = BUILT_IN[spec]
         return kind(config, **arguments)
@@ -183,7 +184,7 @@ def _round_trip(spec: str, config: TaskConfig, vibration: VibrationMap | None, c
             if spec.startswith(PREFIX):
                 raise ValueError(f"policy = {spec!r}: the shield acts on the insertion only, this agent on both passes")
             return load_bundle(file, config)
-    back = read_withdrawal(file) if file.suffix in SCHEDULES else None
+    back = read_withdrawal(file) if file_and_sheet(file)[0].suffix in SCHEDULES else None
     if back is not None:
         _warn_of_limits(f"{spec}, withdrawal", back, config)
     insertion = make_policy(spec, insertion_task(config), vibration, classes)

@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Mapping, Sequence
-from math import inf
+from math import inf, isfinite
 from typing import Final, NamedTuple
 
 from probe_env.schedule import AIR, FEED, POSITIONS, RANGES
@@ -31,8 +31,8 @@ class Quantity(NamedTuple):
 
 _LENGTH, _FEED, _AIR = POSITIONS["inserted_length_m"][1], RANGES[FEED][1], RANGES[AIR][1] / HOUR
 _TIME_HEADS: Final = (
-    "t, timestamp, time stamp, datetime, date time, date&time, elapsed time, zeit, zeitstempel, uhrzeit, zeitpunkt,"
-    " datum uhrzeit, messzeit, x value, time time"
+    "t, timestamp, time stamp, t stamp, datetime, date time, date&time, elapsed time, zeit, zeitstempel, uhrzeit,"
+    " zeitpunkt, datum uhrzeit, messzeit, x value, time time"
 )
 _LENGTH_HEADS: Final = (
     "insertion length, length, position, encoder, encoder position, länge, laenge, weg, weggeber, drehgeber,"
@@ -45,7 +45,7 @@ _AIR_HEADS: Final = (
     "air supply rate, air, air flow, airflow, flow, flow rate, luft, luftmenge, luftstrom, luftzufuhr, volumenstrom,"
     " luftvolumenstrom"
 )
-_TENSION_HEADS: Final = "tension, cable tension, zugkraft, kabelzug, kabelzugkraft, wurzelzugkraft"
+_TENSION_HEADS: Final = "tension, cable tension, force, load cell, kraft, zugkraft, kabelzug, kabelzugkraft"
 _RADIAL_HEADS: Final = "radial acceleration, acceleration radial, radialbeschleunigung, beschleunigung radial"
 _NOISE_HEADS: Final = "rf noise, noise, eddy current noise, rauschen, hf rauschen, signalrauschen, wirbelstromrauschen"
 _ALL = (
@@ -84,12 +84,17 @@ _BY_HEAD: Final = {
     head: name for name, heads in _HEADS.items() for head in (name.replace("_", " "), *heads.split(", "))
 }
 
+_NUMBERED: Final = re.compile(r"((?:time|zeit)) \d+(?: (?:standardmessrate|default sample rate))?")
+"""One of several columns of time, also of catman."""
 _UNIT: Final = re.compile(r"\s*(?:\[([^\[\]]*)\]|\(([^()]*)\)|\bin\s+([^\s\[\]()]+))\s*$")
 """At the end of a head: [mm/s], (m3/h), in mm/s."""
 _TOKEN: Final = "(?:ms|sec|min|mm|cm|um|µm|n?m3|ft|in|kn|lbf|s?cfm|s?lpm|fpm|[smhnlg])"
 _SUFFIX: Final = re.compile(rf"(.+?)_({_TOKEN}(?:_per_{_TOKEN}2?)?)$")
 _BEHIND: Final = re.compile(rf"(.+?),?(?:\s+|\s*/\s*)({_TOKEN}(?:/{_TOKEN}[2²]?)?|n?m³(?:/{_TOKEN})?)", re.IGNORECASE)
 """A unit behind a space or slash: "Feed Speed m/s", "Weg / mm", "Tension, N"."""
+_NUMBER: Final = r"\d+(?:\.\d+)?(?:[eE][+-]?\d+)?"
+_SCALED: Final = re.compile(rf"([+-]?)\s*(?:({_NUMBER})\s*\*\s*)?(.*?)(?:\s*([*/])\s*({_NUMBER}))?")
+"""A unit with a sign and a factor: -m, m/4096, 1.07*m3/h."""
 _CAPITALS: Final = {"n": "N", "kn": "kN"}
 
 _CLOCK_FORM: Final = re.compile(r"[ymdhstj]+(?:[:./ -]+[ymdhstjf0]+)+", re.IGNORECASE)
@@ -108,6 +113,8 @@ _WORDS: Final = {
     "fpm": "ft/min", "fps": "ft/s", "ipm": "inch/min", "ips": "inch/s", "cmh": "m**3/h",
     "kn": "kN", "dan": "daN", "kp": "kgf",
 }  # fmt: skip
+_GAS: Final = {r"n(?:m\W*3|l|cm)|sl(?:pm|m\b|/)": (0.0, 1.073), r"s(?:m\W*3|cfm|cfh)": (15.0, 1.017)}
+"""How units of normal and standard volumes begin -> their temperature [°C], and the ratio of the volume at 20 °C."""
 _OF_DIMENSION: Final = {
     "m/s**2": (r"^(m?)(?:g|G|gn|g_n)$", lambda match: f"{'milli' * bool(match[1])}standard_gravity"),
     "m**3/s": (r"^[NnSs](?=(?:[mM]\*\*3|[lL])(?:/|$))", lambda _: ""),  # normal or standard
@@ -135,18 +142,19 @@ def normalized(words: str) -> str:
 
 def quantity_of(head: str) -> str | None:
     """Quantity (or ``DATE``) of a heading; None if it is unknown."""
-    words = normalized(split_head(head)[0])
+    words = _NUMBERED.sub(r"\1", normalized(split_head(head)[0]))
     if mean := _BY_HEAD.get(re.sub(r" (?:avg|mean|smp)$", "", words)):
         return mean if mean not in QUANTITIES or not QUANTITIES[mean].rms or words in _BY_HEAD else None
     return _BY_HEAD.get(re.sub(r" (?:rms|eff|effektiv)$", "", words))
 
 
 class ColumnOption(NamedTuple):
-    """One value of ``--columns``: "HEAD=QUANTITY" or "HEAD=QUANTITY[UNIT]"."""
+    """One value of ``--columns``: "HEAD=QUANTITY", "HEAD=QUANTITY[UNIT]" or, with a factor, "HEAD=QUANTITY[-m/4]"."""
 
     head: str
     quantity: str
     unit: str
+    factor: float | None = None  # of ``unit``; None without
 
     def means(self, head: str) -> bool:
         """Whether a heading of the file, with or without its unit, equals ``head``."""
@@ -160,11 +168,18 @@ def parse_columns(texts: Sequence[str]) -> tuple[ColumnOption, ...]:
         head, _, right = text.rpartition("=")
         name, unit = split_head(right) if right.rstrip().endswith(("]", ")")) else (right.strip(), "")
         if not head.strip() or name not in NAMES:
-            problem = f"columns = {text[:100]!r} is not HEAD=QUANTITY or HEAD=QUANTITY[UNIT]"
+            problem = f"columns = {text[:100]!r} is not HEAD=QUANTITY, HEAD=QUANTITY[UNIT] or HEAD=QUANTITY[-UNIT/4096]"
             raise ValueError(f"{problem}, with one of {', '.join(NAMES)}")
         if name in options:
             raise ValueError(f"columns = {text[:100]!r}: {name} is named twice, but comes from one column")
-        options[name if name != IGNORED else text] = ColumnOption(head.strip(), name, unit)
+        factor = None
+        if unit and (match := _SCALED.fullmatch(unit)) and any(match.group(1, 2, 4)):
+            sign, times, unit, operator, number = match.groups()
+            factor, more = float(f"{sign}1") * float(times or 1.0), float(number or 1.0)
+            factor = factor * more if operator != "/" else factor / more if more else inf
+            if not unit or not isfinite(factor) or factor == 0.0:
+                raise ValueError(f"columns = {text[:100]!r}: a factor is a finite number with a unit, like [-m/4096]")
+        options[name if name != IGNORED else text] = ColumnOption(head.strip(), name, unit, factor)
     return tuple(options.values())
 
 
@@ -187,7 +202,10 @@ def si_factor(unit: str, quantity: Quantity) -> float:
     text = _WORDS.get(text.lower(), text)
     if quantity.si in _OF_DIMENSION:
         text = re.sub(*_OF_DIMENSION[quantity.si], text)
-    scale = f"convert the column to {quantity.unit} in the file, or leave it out, --columns 'HEAD={IGNORED}'"
+    scale = (
+        f"convert the column to {quantity.unit} in the file, give a factor, --columns"
+        f" 'HEAD={quantity.name}[{quantity.unit}/1000]', or leave it out, --columns 'HEAD={IGNORED}'"
+    )
     spell = f"write it like {quantity.unit}, --columns 'HEAD={quantity.name}[UNIT]'; if it is no such unit, {scale}"
     if re.match(r"[%‰°]|1/", text):
         raise ValueError(f"{unit!r} is not a unit of {quantity.name} - {scale}")
@@ -205,6 +223,12 @@ def si_factor(unit: str, quantity: Quantity) -> float:
     if any(isinstance(problem, pint.DimensionalityError) for problem in problems):
         raise ValueError(f"{unit!r} is not a unit of {quantity.name} - {scale}")
     raise UnknownUnitError(f"the unit {unit!r} is unknown - {spell}") from problems[0]
+
+
+def gas_amount(unit: str) -> tuple[float, float] | None:
+    """Temperature [°C] of the normal or standard volume that a unit counts, and the ratio of its volume at 20 °C."""
+    text = unit.strip().lower().translate(_SUPERSCRIPTS)
+    return next((state for begin, state in _GAS.items() if re.match(begin, text)), None)
 
 
 def looks_like_unit(cell: str) -> bool:

@@ -1,42 +1,42 @@
-"""Reads logs and schedules: text with any separator and encoding, or an Excel sheet, as columns in SI units.
+"""Reads logs and schedules: columns of texts become quantities in SI units.
 
-``_decoded`` or ``sheet_lines`` give lines, ``_table_of`` splits them, ``_convert`` converts the columns.
+``read_table`` gives the cells of a file, ``_Conversion`` finds the column of each quantity and converts it.
 """
 
-import codecs
-import csv
 import math
 import re
 import shlex
-from collections.abc import Iterable, Mapping, Sequence
+import warnings
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, TypeVar
 
 import numpy as np
-import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from probe_agents.records.cells import ReadOptions, Table, listed, read_table
 from probe_agents.records.quantities import (
     DATE,
     FRACTION,
     FRACTION_UNITS,
+    HOUR,
     IGNORED,
     MEASURED,
-    NAMES,
     QUANTITIES,
     RETURN,
-    ColumnOption,
     Quantity,
     UnknownUnitError,
-    looks_like_unit,
+    gas_amount,
     normalized,
     quantity_of,
     si_factor,
     split_head,
 )
+from probe_agents.records.sources import MAX_BYTES, file_and_sheet
 from probe_agents.records.times import (
     DAY,
     MINUTES,
@@ -49,43 +49,10 @@ from probe_agents.records.times import (
     matches,
     seconds,
 )
-from probe_agents.records.workbook import MAX_COLUMNS, OLD_EXCEL, ZIP, sheet_lines
 from probe_env.arrays import FloatArray
-from probe_env.files import MEBI, FileError, open_regular, read_bytes
-from probe_env.schedule import (
-    AIR,
-    CSV_COMMENT,
-    FEED,
-    POSITIONS,
-    Row,
-    Schedule,
-    schedule_of_rows,
-    schedule_rows,
-    withdrawal_of_rows,
-)
+from probe_env.files import FileError, open_regular
+from probe_env.schedule import AIR, FEED, POSITIONS, Row, Schedule, schedule_of_rows, schedule_rows, withdrawal_of_rows
 
-IntArray = npt.NDArray[np.integer]
-MAX_BYTES: Final = 256 * MEBI
-MAX_ROWS: Final = 5_000_000
-HEAD_WITHIN: Final = 200
-"""Number of non-empty lines within which the header must be."""
-HEADS_SHOWN: Final = 12
-_OPEN_QUOTE: Final = re.compile(r'(?:^|[;,\t|])\s*"[^"]*$')
-MAX_WRAPPED: Final = 5
-"""Line breaks within the quotes of a cell."""
-
-SEPARATORS: Final = {";": "';'", "\t": "tabs", "|": "'|'", ",": "','", " ": "spaces"}
-_CONTROL: Final = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f]")
-_COMMENT: Final = r"^\s*[#%!]|^[\s|:;,+=-]*$"
-"""Comments, empty lines, also of separators, and lines of dashes between header and rows."""
-_TOO_NARROW: Final = r"^\s*#{2,}\s*[;,\t|]"
-"""A cell of ####, as Excel writes a time in a narrow column."""
-_SPACED_TIME: Final = (
-    r"(\d{1,4}[-/.]\w{1,3}[-/.]\d{1,4})[ \t]+(\d{1,2}:\d\d)", r"\1T\2"
-), (r"(?i)(:\d\d(?:[.,]\d+)?)[ \t]+([ap]\.?m)\b", r"\1\2")  # fmt: skip
-"""Date and clock, and clock and AM, which belong together in a file of spaces."""
-_END_PIPES: Final = r"^\s*\||\|\s*$"
-_NUMBER_OR_TIME: Final = re.compile(r"[+-]?[\d.,'  ]*\d[\d.,'  ]*(?:[eE][+-]?\d+)?|\d[\d:.,TZ +-]*:[\d:.,TZ +-]*")
 _MARKER: Final = re.compile(
     r"-?(?:9{4,}(?:\.(?:25|9+))?|999\.25|[67]999|32767|65535|2147483647)"
     r"|-(?:999(?:\.9+)?|99\.9+|8888|888\.88|32768|2147483648)"
@@ -101,33 +68,24 @@ FAR: Final = 10.0
 """Ratio of an overload code to the largest other value."""
 _HOURS: Final = re.compile(r"(?:h{1,2}|std):m(?:m|in)", re.IGNORECASE)
 """Units of a clock time without seconds: hh:mm."""
+_QUALITY: Final = re.compile(r"(.+) (?:quality|status|state|qualität|q)")
+"""Heading of the quality of another column."""
+_BAD: Final = r"(?i)^(?:bad|uncertain|invalid|fail|fault|error|false|schlecht|unsicher|ungültig|fehler)"
+GOOD: Final = 192.0
+"""Codes of OPC from here on are of good values; below, and from ``UNCERTAIN`` on, of uncertain ones."""
+UNCERTAIN: Final = 64.0
+MESSAGES: Final = 0.05
+"""Share of the rows which may be messages of the logger."""
+_DIGITS: Final = r"^[+-]?\d+(?:[.,]\d+)?$"
+_WITH_UNIT: Final = re.compile(
+    r"[+-]?\d[\d.,' ]*(?:[eE][+-]?\d+)?\s*([A-Za-zµμ%°][A-Za-zµμ]*[23²³]?(?:/[A-Za-z]+[23²³]?)?)"
+)
+"""A number and its unit in one cell."""
 _SPACES: Final = "[ '’\u00a0\u2009\u202f]"
 _POWER: Final = r"(?:[eE][+-]?\d+)"
-
-
-@dataclass(frozen=True)
-class Table:
-    """Cells of a file as texts."""
-
-    path: Path
-    heads: tuple[str, ...]
-    units: tuple[str, ...]  # from the row below the headings; empty texts without such a row
-    columns: tuple[Any, ...]  # arrow arrays of trimmed texts (rows,)
-    lines: IntArray  # (rows,) line number, or row number of a sheet
-    row_word: str  # word for a row in errors: line or row
-    separator: str
-    steps: bool  # whether values are constant until the next row
-    null: tuple[str, ...] = ()  # what marks missing values by a LAS header
-    notes: tuple[str, ...] = ()  # repairs of the file
-
-    def error(self, row: int, problem: str, column: int | None = None) -> FileError:
-        """An error at a row and column."""
-        position = f", column {self.heads[column]!r}" if column is not None else ""
-        return FileError(self.path, f"{self.row_word} {self.lines[row]}{position}: {problem}")
-
-    def error_between(self, first: int, last: int, problem: str) -> FileError:
-        """An error from one row to another."""
-        return FileError(self.path, f"{self.row_word}s {self.lines[first]} to {self.lines[last]}: {problem}")
+_FROM, _TO = ("from", "from length", "begin", "start", "von"), ("to", "to length", "end", "bis")
+"""Headings of the ends of a section of a schedule."""
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -142,92 +100,100 @@ class Channels:
     written_out: bool = False  # whether times are clock times or timestamps, not numbers
 
 
-class Converted(NamedTuple):
-    """Columns in SI units."""
-
-    values: dict[str, FloatArray]  # quantity -> (rows,)
-    notes: tuple[str, ...]
-    written_out: bool
-
-
-def read_channels(
-    path: Path,
-    sheet: str | None,
-    options: Sequence[ColumnOption],
-    decimal: str,
-    air: float | None,
-    missing: Sequence[str] = (),
-    time_format: str = "",
-) -> Channels:
+def read_channels(path: Path, options: ReadOptions) -> Channels:
     """Read the quantities of a log from a text file or from a sheet of a workbook.
-
-    Args:
-        path: file.
-        sheet: sheet of a workbook; None: the first.
-        options: quantities of unknown headings.
-        decimal: "." or ","; empty: detected.
-        air: air of a log without that column [m3/s].
-        missing: texts and numbers that mark missing values, in addition to NaN, -999.25 and the like.
-        time_format: form of the times for ``strptime``, with the date of another column and a space before it; empty:
-            detected.
 
     Raises:
         FileNotFoundError: no such file.
         FileError: not a text or workbook; no such sheet; no header or rows; a column that is missing, occurs twice or
             has no unit; a cell that is not a number or time, or out of range; too large.
-        ValueError: ``time_format`` is not a form.
-        ModuleNotFoundError: openpyxl or pint is not installed.
+        ValueError: ``time_format`` is not a form, or ``encoding`` is unknown.
+        ModuleNotFoundError: python-calamine or pint is not installed.
     """
-    table = _read_table(path, sheet, options)
-    indices, units = _indices(table, options)
-    _require(table, indices, (("time",), ("feed_speed", "inserted_length"), ("air_supply",)[: air is None]))
+    table = read_table(path, options)
+    log = _Conversion(table, options)
+    if options.rate is not None and "time" in log.indices:
+        head = table.heads[log.indices["time"]]
+        raise FileError(
+            path, f"the column {head!r} is the time: leave --rate out, or {table.option(log.indices['time'], IGNORED)}"
+        )
+    log.require(*[("time",)][: options.rate is None], ("feed_speed", "inserted_length"))
+    if options.air_supply is None:
+        log.require(("air_supply",))
     for name in RETURN:
-        indices.pop(name, None)
-    values, notes, written_out = _convert(table, indices, units, decimal, missing, time_format)
-    if "air_supply" not in values and air is not None:
-        values["air_supply"] = np.full(len(table.lines), air)
-    return Channels(table, values.pop("time"), values, indices, notes, written_out)
+        log.indices.pop(name, None)
+    values = log.values()
+    if options.rate is not None:
+        values["time"], log.indices["time"] = np.arange(len(table.lines)) / options.rate, 0
+    if options.air_supply is not None:
+        values.setdefault("air_supply", np.full(len(table.lines), options.air_supply / HOUR))
+    return Channels(table, values.pop("time"), values, log.indices, tuple(log.notes), log.written_out)
 
 
 def read_schedule(path: str | Path) -> Schedule:
     """Read a schedule; it may have the headings, units, separators and the workbook that a log may have.
 
+    Sections may be given by the columns "from" and "to". "FILE#SHEET" names a sheet of a workbook; by default it is the
+    first one with known headings.
+
     Raises:
-        ModuleNotFoundError: openpyxl or pint is not installed.
+        ModuleNotFoundError: python-calamine or pint is not installed.
     """
-    return schedule_of_rows(Path(path), *_schedule_rows(Path(path)))
+    return schedule_of_rows(Path(path), *_schedule_rows(*file_and_sheet(path)))
 
 
 def read_withdrawal(path: str | Path) -> Schedule | None:
     """Read the withdrawal of a schedule; None if the file has none. Raises as ``read_schedule``."""
-    return withdrawal_of_rows(Path(path), *_schedule_rows(Path(path)))
+    return withdrawal_of_rows(Path(path), *_schedule_rows(*file_and_sheet(path)))
 
 
-def _schedule_rows(path: Path) -> tuple[str, Sequence[Row]]:
+def _schedule_rows(path: Path, sheet: str | None) -> tuple[str, Sequence[Row]]:
     """Interpolation and rows of a schedule; heads, separators and units may differ from those of ``Schedule.read``."""
     if path.suffix == ".toml" or _has_schedule_columns(path):
         return schedule_rows(path)
     try:
-        table = _read_table(path, None, ())
-        indices, _ = _indices(table, ())
-        _require(table, indices, (("inserted_length", "time"), ("feed_speed",), ("air_supply",)))
+        table = read_table(path, ReadOptions(sheet=sheet))
+        plan = _Conversion(table, None)
+        words = [normalized(split_head(head)[0]) for head in table.heads]
+        sections = [next((k for k, word in enumerate(words) if word in heads), -1) for heads in (_FROM, _TO)]
+        is_sections = min(sections) >= 0 and not {"time", "inserted_length"} & set(plan.indices)
+        if is_sections:
+            plan.indices["inserted_length"] = sections[0]
+        plan.require(("inserted_length", "time"), ("feed_speed",), ("air_supply",))
         used = ("time", DATE, FRACTION, "inserted_length", "feed_speed", "air_supply", *RETURN)
-        indices = {name: indices[name] for name in used if name in indices}
-        values = _convert(table, indices, {}, "", None).values
+        plan.indices = {name: plan.indices[name] for name in used if name in plan.indices}
+        values = plan.values()
+        if is_sections:
+            _check_sections(table, values["inserted_length"], sections[1])
     except FileError as error:
         if "--" not in error.problem:  # an option of other commands
             raise
-        problem = re.sub(r"(?:,|:|;| -) (?:or )?[^,:;-]*?[,:]? ?--.*", "", error.problem)
+        problem = re.sub(r"(?:,|:|;| -) (?:or )?[^,:;-]*?[,:]? ?--(?!sheet).*", "", error.problem)
         hint = " - correct the file: a schedule has heads like 'length [m]', 'feed [m/s]' and 'air [m3/h]'"
         raise FileError(path, problem + hint * (" - " not in problem)) from error
+    for note in plan.notes:
+        warnings.warn(f"{path}: {note}", stacklevel=3)
     for name, column in values.items():
         if (empty := np.isnan(column)).any():
-            raise table.error(int(empty.argmax()), "no value", indices[name])
+            problem = "no value"
+            if table.row_word == "row":
+                problem = "no value, or a formula without a stored value: open the workbook in Excel and save it"
+            raise table.error(int(empty.argmax()), problem, plan.indices[name])
         values[name] = (column - (column[0] if name == "time" else 0.0)) / QUANTITIES[name].scale
     columns = {QUANTITIES[name].column: [float(f"{v:.12g}") for v in column] for name, column in values.items()}
     rows = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
     places = (f"{table.row_word} {line}" for line in table.lines)
-    return "steps" if table.steps else "linear", list(zip(places, rows, strict=True))
+    return "steps" if table.steps or is_sections else "linear", list(zip(places, rows, strict=True))
+
+
+def _check_sections(table: Table, begin: FloatArray, column: int) -> None:
+    """Raise FileError unless each section ends where the next one begins."""
+    ends = _Conversion(table, None)
+    ends.indices = {"inserted_length": column}
+    apart = np.abs(ends.values()["inserted_length"][:-1] - begin[1:]) > 1e-6
+    if apart.any():
+        problem = "the section does not end where the next one begins: a schedule has no gaps and no overlaps"
+        raise table.error(int(apart.argmax()), problem, column)
 
 
 def _has_schedule_columns(path: Path) -> bool:
@@ -239,117 +205,270 @@ def _has_schedule_columns(path: Path) -> bool:
     return {FEED, AIR} <= names and not names.isdisjoint(POSITIONS)
 
 
-def _require(table: Table, indices: Mapping[str, int], groups: Iterable[Sequence[str]]) -> None:
-    """Raise FileError unless there is a column for one name of each group."""
-    for names in groups:
-        if names and not any(name in indices for name in names):
-            hint = "; or give a constant, --air-supply M3_PER_H" if names == ("air_supply",) else ""
-            problem = f"no column for {' or '.join(names)}; found: {_listed(table.heads)}"
-            raise FileError(table.path, f"{problem} - name it: --columns 'HEAD={names[0]}'{hint}")
+class _Conversion:
+    """The columns of a table that are quantities, and their values in SI units.
 
+    Args:
+        table: cells of the file.
+        options: of a log; None: a schedule, whose numbers mark no missing values and whose times need a unit.
+    """
 
-def _convert(
-    table: Table,
-    indices: dict[str, int],
-    units: Mapping[str, str],
-    decimal: str,
-    missing: Sequence[str] | None,
-    time_format: str = "",
-) -> Converted:
-    """Convert the columns at ``indices`` to SI units; arguments as ``read_channels``, ``missing`` None: no markers."""
-    date, fraction = indices.pop(DATE, None), indices.pop(FRACTION, None)
-    marked = (*table.null, *(missing or ()))
-    declared = {text: number for text in marked if (number := _plain_number(text)) is not None}
-    words = [text for text in marked if text not in declared]
-    notes = list(table.notes)
-    spare = missing is not None and {"feed_speed", "inserted_length"} <= set(indices) and "feed_speed" not in units
-    if spare:
-        try:
-            _factor(table, QUANTITIES["feed_speed"], indices["feed_speed"], units)
-        except FileError as error:
-            notes.append(_left_out(error))
-            del indices["feed_speed"]
-    cells, column = {name: _without(table.columns[k], words) for name, k in indices.items()}, date
-    values: dict[str, FloatArray] = {}
-    days, written_out = None, False
-    try:
-        if "time" in indices:
-            unit = units.get("time") or _written_unit(table, indices["time"])
-            if not time_format and _HOURS.fullmatch(unit) and matches(cells["time"], MINUTES).any():
-                time_format = "%H:%M"
-            if date is not None:
-                days = days_of(table.columns[date], cells["time"], time_format)
+    def __init__(self, table: Table, options: ReadOptions | None) -> None:
+        self.table, self.is_log, self.notes, self.written_out = table, options is not None, [*table.notes], False
+        self.options = options or ReadOptions()
+        self.named = {option.quantity: option for option in self.options.named}
+        self.indices = self._indices()
+        marked = (*table.null, *self.options.missing)
+        declared = {text: number for text in marked if (number := _plain_number(text)) is not None}
+        self.markers, self.words = list(declared.values()), [text for text in marked if text not in declared]
+
+    def _indices(self) -> dict[str, int]:
+        """Index of the column of every quantity."""
+        table, indices, ignored = self.table, dict[str, int](), list[int]()
+        for option in self.options.named:
+            found = [k for k, head in enumerate(table.heads) if head == option.head]
+            found = found or [k for k, head in enumerate(table.heads) if head and option.means(head)]
+            name = f"column {option.head[:60]!r}"
+            if len(found) != 1:
+                often = "does not exist" if not found else f"exists {len(found)} times: rename one in the file"
+                raise FileError(table.path, f"{name} of --columns {often}; found: {listed(table.heads)}")
+            if found[0] in {*indices.values(), *ignored}:
+                raise FileError(table.path, f"{name} is named twice in --columns: a column is one quantity")
+            if option.quantity == IGNORED:
+                ignored.append(found[0])
+            else:
+                indices[option.quantity] = found[0]
+        by_option = dict(indices)
+        for k, head in enumerate(table.heads):
+            quantity = quantity_of(head)
+            if k in {*by_option.values(), *ignored} or quantity is None:
+                continue
+            first = indices.get(quantity, k)
+            if first == k:
+                indices[quantity] = k
+            elif table.columns[k].equals(table.columns[first]):
+                continue
+            elif quantity not in by_option:
+                hint = f"choose one, --columns 'HEAD={quantity}'".replace("HEAD", table.heads[first].replace("'", ""))
+                hint = hint if head != table.heads[first] else "rename one in the file"
+                both = f"columns {table.heads[first]!r} and {head!r} are both {quantity}"
+                raise FileError(table.path, f"{both}: {hint}")
+            elif quantity == "time":
+                self.notes.append(
+                    f"The column {head!r} is another time and is left out: if columns have this time, read them apart."
+                )
+        if "time" not in indices and not table.heads[0] and matches(table.columns[0][:1], MORE_THAN_NUMBER).all():
+            indices["time"] = 0  # the index of a table of pandas
+        return indices
+
+    def require(self, *groups: Sequence[str]) -> None:
+        """Raise FileError unless there is a column for one name of each group."""
+        for names in groups:
+            if not any(name in self.indices for name in names):
+                heads = self.table.heads
+                unknown = next((head for head in heads if head and quantity_of(head) is None), "HEAD").replace("'", "")
+                hint = {
+                    "time": "give the rows per second, --rate HZ, or ",
+                    "air_supply": "give a constant, --air-supply M3_PER_H, or ",
+                }.get(names[0], "")
+                problem = f"no column for {' or '.join(names)}; found: {listed(heads)}"
+                raise FileError(self.table.path, f"{problem} - {hint}name it: --columns '{unknown[:60]}={names[0]}'")
+
+    def values(self) -> dict[str, FloatArray]:
+        """Values in SI units (rows,) of the quantities; missing ones are NaN."""
+        table, values = self.table, dict[str, FloatArray]()
+        date, fraction = self.indices.pop(DATE, None), self.indices.pop(FRACTION, None)
+        cells = {name: _without(table.columns[k], self.words) for name, k in self.indices.items()}
+        self._leave_messages_out(cells)
+        units = {name: self._unit(name, cells) for name in cells}
+        form = self.options.time_format
+        if "time" in cells:
             first = cells["time"].filter(pa.array(~matches(cells["time"], MISSING)))[:1]
-            written_out = bool(time_format) or bool(matches(first, MORE_THAN_NUMBER).any())
-        numbers = {name: k for name, k in indices.items() if not (written_out and name == "time")}
-        factors = {name: _factor(table, QUANTITIES[name], k, units) for name, k in numbers.items()}
+            number = bool(units["time"] not in ("", "s") and matches(first, _DIGITS).any())
+            self.written_out = bool(form) or (not number and bool(matches(first, MORE_THAN_NUMBER).any()))
+            if not form and _HOURS.fullmatch(units["time"]) and matches(cells["time"], MINUTES).any():
+                self.written_out, form = True, "%H:%M"
+        numbers = [name for name in cells if not (name == "time" and self.written_out)]
+        factors = dict[str, float]()
         for name in numbers:
-            cells[name] = pc.replace_substring_regex(cells[name], r"^([+-])\s+", r"\1")  # a sign apart
-        sign = decimal or _decimal_sign(table, {k: cells[name] for name, k in numbers.items()})
-        for name, column in list(indices.items()):
-            head = table.heads[column]
-            if name not in factors:
-                values[name] = seconds(cells[name], time_format, days)
-                if not time_format and matches(first, MINUTES).any():
-                    notes.append(f"The column {head!r} is read as mm:ss; for hh:mm, --time-format %H:%M.")
-                continue
-            try:
-                read = np.array(_numbers(cells[name], sign))
-            except CellError as error:
-                if not spare or name != "feed_speed":
-                    raise
-                notes.append(_left_out(table.error(error.row, error.problem, column)))
-                del indices[name]
-                continue
-            known = () if name == "time" else [*declared.values()]
-            markers = [] if missing is None else _blank_markers(read, known, name in SUSPECT and not missing)
-            if markers:
-                notes.append(f"The column {head!r} has missing values, marked by {', '.join(markers)}.")
-            if name == "time" and not (units.get(name) or _written_unit(table, column)):
-                present = read[~np.isnan(read)]
-                if are_serial_days(present):
-                    notes.append(f"The column {head!r} has no unit and is read as serial days.")
-                    factors[name] = DAY
-                elif len(present) and 0.0 < np.ptp(present) < SHORTEST_STEP * (len(present) - 1):
-                    problem = f"without a unit, rows are less than {SHORTEST_STEP:g} s apart"
-                    raise CellError(
-                        0, f"{problem}: declare it, --columns '{normalized(head)}=time[UNIT]' (s, min, h or d)"
-                    )
-                elif missing is None:
-                    hint = f"declare it, --columns '{normalized(head)}=time[UNIT]'"
-                    raise FileError(table.path, f"column {head!r} has no unit: {hint}")
-                else:
-                    notes.append(f"The column {head!r} has no unit and is read as seconds.")
-            values[name] = _in_range(QUANTITIES[name], read * factors[name])
+            if (factor := self._unless_spare(name, partial(self._factor, name, units[name]))) is not None:
+                factors[name] = factor
+                cells[name] = pc.replace_substring_regex(cells[name], r"^([+-])\s+", r"\1")  # a sign apart
+        decimal = {"auto": "", "point": ".", "comma": ","}[self.options.decimal]
+        sign = decimal or _decimal_sign(table, {self.indices[name]: cells[name] for name in factors})
+        for name in [name for name in cells if name in self.indices]:
+            if name in factors:
+                convert = partial(self._numbers, name, cells[name], sign, factors)
+                if (read := self._unless_spare(name, partial(self._at, self.indices[name], convert))) is not None:
+                    values[name] = read
+            else:
+                values[name] = self._at(self.indices["time"], partial(self._times, cells["time"], date, form))
         if fraction is not None and "time" in values:
-            column = fraction
-            values["time"] = values["time"] + _fractions(table, fraction, values["time"], units, sign)
-    except CellError as error:
-        raise table.error(error.row, error.problem, column) from None
-    return Converted(values, tuple(notes), written_out)
+            values["time"] = values["time"] + self._fractions(fraction, values["time"], sign)
+        return values
 
+    def _leave_messages_out(self, cells: dict[str, Any]) -> None:
+        """Empty the rows whose columns of numbers hold words and no digit, unless they are many, with a note."""
+        columns = [column for name, column in cells.items() if name != "time"]
+        digits = np.any([matches(column, r"\d") for column in columns], axis=0)
+        words = np.any([matches(column, r"\pL") & ~matches(column, MISSING) for column in columns], axis=0)
+        rows = np.flatnonzero(words & ~digits)
+        if 0 < len(rows) < MESSAGES * len(digits):
+            where, more = f"{self.table.row_word} {self.table.lines[rows[0]]}", len(rows) - 1
+            text = next(text for column in columns if (text := column[int(rows[0])].as_py()))
+            self.notes.append(f"Left out: {where}, {text[:40]!r}" + f", and {more} more" * bool(more) + ".")
+            for name, column in cells.items():
+                cells[name] = pc.if_else(pa.array(words & ~digits), pa.scalar("", pa.large_string()), column)
 
-def _left_out(error: FileError) -> str:
-    """Note about a feed speed that is not needed."""
-    return f"Left out, as there is an encoder: {re.split(' - |: declare', error.problem)[0]}."
+    def _at(self, column: int, read: Callable[[], T]) -> T:
+        """The result of a function, whose CellError gets file, row and column."""
+        try:
+            return read()
+        except CellError as error:
+            raise self.table.error(
+                error.row, error.problem, column if error.column is None else error.column
+            ) from error
 
+    def _unless_spare(self, name: str, read: Callable[[], T]) -> T | None:
+        """The result of a function; None, and a note, if it fails for a feed speed beside an encoder."""
+        try:
+            return read()
+        except FileError as error:
+            if name != "feed_speed" or "inserted_length" not in self.indices or name in self.named or not self.is_log:
+                raise
+            problem = re.split(" - |: declare", error.problem)[0]
+            self.notes.append(f"Left out, as there is an encoder: {problem}.")
+            del self.indices[name]
+            return None
 
-def _fractions(table: Table, k: int, time: FloatArray, units: Mapping[str, str], sign: str) -> FloatArray:
-    """Fractions of a second (rows,) from column ``k``; 0 if the times have their own or are no seconds."""
-    if (time[~np.isnan(time)] % 1.0).any():
-        return np.zeros(len(time))
-    head = table.heads[k]
-    unit = units.get(FRACTION) or _written_unit(table, k) or FRACTION_UNITS.get(normalized(head), "")
-    if not unit:
-        raise FileError(
-            table.path, f"column {head!r} has no unit: declare it, --columns '{normalized(head)}=fraction[ms]'"
-        )
-    fractions = _numbers(table.columns[k], sign) * si_factor(unit, QUANTITIES["time"])
-    problem = (
-        f"is not a fraction of a second, 0 to less than 1 s: leave it out, --columns '{normalized(head)}={IGNORED}'"
-    )
-    check(table.columns[k], ~((fractions < 0.0) | (fractions >= 1.0)), problem)
-    return fractions
+    def _unit(self, name: str, cells: dict[str, Any]) -> str:
+        """Unit of a quantity by ``--columns``, its heading, or all its cells, from which it is removed."""
+        option, written = self.named.get(name), self.table.written_unit(self.indices[name])
+        first = next((text for text in cells[name][:1000].to_pylist() if not re.match(MISSING, text)), "")
+        if (match := _WITH_UNIT.fullmatch(first)) and match[1] != "":
+            unit = match[1]
+            bare = pc.replace_substring_regex(cells[name], rf"\s*{re.escape(unit)}$", "")
+            good = matches(cells[name], rf"\d\s*{re.escape(unit)}$") | matches(cells[name], MISSING)
+            with suppress(ValueError):
+                if good.all() and (
+                    not written or si_factor(written, QUANTITIES[name]) == si_factor(unit, QUANTITIES[name])
+                ):
+                    cells[name], written = bare, unit
+        return (option.unit if option else "") or written
+
+    def _factor(self, name: str, unit: str) -> float:
+        """Factor of a quantity to SI units."""
+        table, quantity, k = self.table, QUANTITIES[name], self.indices[name]
+        head, written, option = table.heads[k], table.written_unit(k), self.named.get(name)
+        declared = f"column {head!r} has no unit: declare it, {table.option(k, name, 'UNIT')}"
+        if not unit and (name != "time" or not self.is_log):
+            raise FileError(table.path, declared)
+        try:
+            factor = si_factor(unit or quantity.unit, quantity)
+            if written != unit and not (option and option.factor):  # a declaration does not make newtons of volts
+                with suppress(UnknownUnitError):
+                    si_factor(written or unit, quantity)
+        except ValueError as error:
+            problem = str(error).replace("'HEAD=", f"'{table.name(k)}=")
+            raise FileError(table.path, f"column {head!r}: {problem}") from error
+        if option and option.factor:
+            return factor * option.factor
+        if name == "air_supply" and (gas := gas_amount(unit)):
+            self.notes.append(
+                f"The column {head!r} is an amount of gas, a volume at {gas[0]:g} °C and 1013 mbar, and read as m3/h;"
+                f" at 20 °C it is {gas[1]:g} times as large: {table.option(k, name, f'{gas[1]:g}*{unit}')}."
+            )
+        return factor
+
+    def _numbers(self, name: str, cells: Any, sign: str, factors: dict[str, float]) -> FloatArray:
+        """Values of a column of numbers in SI units (rows,)."""
+        table, k, quantity = self.table, self.indices[name], QUANTITIES[name]
+        read = np.array(_numbers(cells, sign, name == "time"))
+        if self.is_log:
+            known, suspect = (), name in SUSPECT and not self.options.missing
+            markers = _blank_markers(read, known if name == "time" else self.markers, suspect)
+            if markers:
+                self.notes.append(f"The column {table.heads[k]!r} has missing values, marked by {', '.join(markers)}.")
+            self._blank_bad(read, k)
+        if name == "time" and not table.written_unit(k) and name not in self.named:
+            self._check_time(read, k, factors)
+        return self._in_range(quantity, read * factors[name], k)
+
+    def _check_time(self, read: FloatArray, k: int, factors: dict[str, float]) -> None:
+        """Take numbers of time without a unit as days or seconds, with a note, or raise CellError."""
+        present, head = read[~np.isnan(read)], self.table.heads[k]
+        if are_serial_days(present):
+            self.notes.append(f"The column {head!r} has no unit and is read as serial days.")
+            factors["time"] = DAY
+        elif len(present) and 0.0 < np.ptp(present) < SHORTEST_STEP * (len(present) - 1):
+            problem = f"without a unit, rows are less than {SHORTEST_STEP:g} s apart"
+            raise CellError(0, f"{problem}: declare it, {self.table.option(k, 'time', 'UNIT')} (s, min, h or d)")
+        else:
+            self.notes.append(f"The column {head!r} has no unit and is read as seconds.")
+
+    def _blank_bad(self, values: FloatArray, k: int) -> None:
+        """Set values (rows,) of bad or uncertain quality to NaN, in place, by the column of quality of a column."""
+        table, name = self.table, normalized(split_head(self.table.heads[k])[0])
+        for column, head in enumerate(table.heads):
+            match = _QUALITY.fullmatch(normalized(head))
+            if column == k or not match or match[1] != name:
+                continue
+            cells, codes = table.columns[column], np.full(len(values), np.nan)
+            digits = matches(cells, r"^\d+$")
+            codes[digits] = np.asarray(cells.filter(pa.array(digits)).cast(pa.float64()))
+            bad = matches(cells, _BAD)
+            if (codes >= UNCERTAIN).any():
+                bad |= codes < GOOD
+            elif digits.any():
+                self.notes.append(f"The column {head!r} is not used: which of its codes are bad is not known.")
+            if bad.any():
+                values[bad] = np.nan
+                self.notes.append(f"{int(bad.sum())} values of {table.heads[k]!r} are missing: bad by {head!r}.")
+
+    def _times(self, cells: Any, date: int | None, form: str) -> FloatArray:
+        """Seconds (rows,) of timestamps or clock times."""
+        try:
+            days = None if date is None else days_of(self.table.columns[date], cells, form)
+        except CellError as error:
+            raise CellError(error.row, error.problem, date) from None
+        read, notes = seconds(cells, form, days)
+        head = self.table.heads[self.indices["time"]]
+        self.notes += [f"The column {head!r} {note}." for note in notes]
+        return read
+
+    def _fractions(self, k: int, time: FloatArray, sign: str) -> FloatArray:
+        """Fractions of a second (rows,) from column ``k``; 0 if the times have their own or are no seconds."""
+        table, head, option = self.table, self.table.heads[k], self.named.get(FRACTION)
+        if (time[~np.isnan(time)] % 1.0).any():
+            return np.zeros(len(time))
+        unit = (option.unit if option else "") or table.written_unit(k) or FRACTION_UNITS.get(normalized(head), "")
+        if not unit:
+            raise FileError(table.path, f"column {head!r} has no unit: declare it, {table.option(k, FRACTION, 'ms')}")
+
+        def read() -> FloatArray:
+            fractions = _numbers(table.columns[k], sign) * si_factor(unit, QUANTITIES["time"])
+            problem = f"is not a fraction of a second, 0 to less than 1 s: leave it out, {table.option(k, IGNORED)}"
+            check(table.columns[k], ~((fractions < 0.0) | (fractions >= 1.0)), problem)
+            return fractions
+
+        return self._at(k, read)
+
+    def _in_range(self, quantity: Quantity, values: FloatArray, k: int) -> FloatArray:
+        low, high, unit = quantity.low, quantity.high, quantity.unit
+        wrong = (values < low - quantity.noise) | (values > high)
+        if wrong.any():
+            present = values[~np.isnan(values)]
+            row = int(wrong.argmax())
+            value, minimum, maximum = (number / quantity.scale for number in (values[row], low, high))
+            problem = (
+                f"{quantity.name} = {value:.6g} {unit} is outside the accepted range {minimum:g} to {maximum:g} {unit}"
+            )
+            hint = "is the unit right?"
+            if (present <= 0.0).all() and (-present <= high).all():
+                written = self.table.written_unit(k) or unit
+                hint = f"the sign is reversed throughout: {self.table.option(k, quantity.name, f'-{written}')}"
+            raise CellError(row, f"{problem} - {hint}")
+        return np.asarray(np.where(values < low, low, values))
 
 
 def _without(cells: Any, words: Sequence[str]) -> Any:
@@ -392,297 +511,6 @@ def _blank_markers(values: FloatArray, declared: Sequence[float], suspect: bool)
         found.append(float(number))
         values[at] = np.nan
     return [f"{number:.9g}" for number in found]
-
-
-def _read_table(path: Path, sheet: str | None, options: Sequence[ColumnOption]) -> Table:
-    content = read_bytes(path, MAX_BYTES)
-    if content.startswith(OLD_EXCEL):
-        raise FileError(path, "a workbook of Excel before 2007: save it as .xlsx or as CSV")
-    if content.startswith(ZIP):
-        return _table_of(path, sheet_lines(path, content, sheet), options, "row")
-    if sheet is not None:
-        raise FileError(path, f"not a workbook, so it has no sheet {sheet[:80]!r}: leave --sheet out")
-    filled = content.rstrip(b"\0")
-    cut = len(content) - len(filled) if b"\0" not in filled else 0  # else UTF-16 or not a text
-    lines, null = _unwrapped(_decoded(path, content[: len(content) - cut]).split("\n")), tuple[str, ...]()
-    if lines[0].upper().startswith("~V"):
-        lines, null = _las_lines(path, lines)
-    table = _table_of(path, lines, options, "line")
-    notes = (f"{cut} NUL bytes behind the last line, as of a power cut, were cut off.",) if cut else ()
-    return replace(table, null=null, notes=notes)
-
-
-def _unwrapped(lines: list[str]) -> list[str]:
-    """Lines in which those of a quoted cell with line breaks are joined, and the others empty."""
-    for k in [k for k, line in enumerate(lines) if '"' in line and _OPEN_QUOTE.search(line)]:
-        ends = [j for j, line in enumerate(lines[k + 1 : k + 1 + MAX_WRAPPED], k + 1) if line.count('"') % 2]
-        if ends and lines[k].count('"') % 2:
-            lines[k : ends[0] + 1] = [" ".join(lines[k : ends[0] + 1]), *[""] * (ends[0] - k)]
-    return lines
-
-
-def _las_lines(path: Path, lines: Sequence[str]) -> tuple[list[str], tuple[str, ...]]:
-    """Lines of a LAS 2.0 file (a log of a well) with its curves as heads and the other sections empty; its NULL."""
-    section, heads, null = "", list[str](), tuple[str, ...]()
-    for k, line in enumerate(lines):
-        if line.startswith("~"):
-            section = line[1:2].upper()
-            if section == "A" and heads:
-                rows = list(lines[k + 1 :])
-                return [*[""] * k, ("," if rows and "," in rows[0] else " ").join(heads), *rows], null
-        elif entry := re.match(r"\s*([^\s#.][^.]*?)\s*\.(\S*)\s*(.*?)\s*:", line):
-            name, unit, value = entry.groups()
-            if section == "C":
-                heads.append(name.replace(" ", "_") + f"[{unit}]" * bool(unit))
-            elif name.upper() == "NULL":
-                null = (value,)
-            elif name.upper() == "WRAP" and value.upper() == "YES":
-                raise FileError(path, f"line {k + 1}: a LAS file with wrapped rows: export it without WRAP, or as CSV")
-    raise FileError(path, "a LAS file without the sections ~Curve and ~ASCII: export it again, or as CSV")
-
-
-def _decoded(path: Path, content: bytes) -> str:
-    """Decode a file: UTF-8, UTF-16, else Windows Western European."""
-    begin = content[:1000]
-    names = ["utf-8-sig", "cp1252"]
-    if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        names = ["utf-16"]
-    elif len(begin) > 3:
-        names = [f"utf-16-{e}" for e, k in (("le", 1), ("be", 0)) if begin[k::2].count(0) > 0.4 * len(begin)] or names
-    for name in names:
-        try:
-            text = content.decode(name)
-            break
-        except UnicodeDecodeError as error:
-            line, byte = content.count(b"\n", 0, error.start) + 1, content[error.start]
-    else:
-        raise FileError(path, f"line {line}: not a text file (byte 0x{byte:02x}): export it as text in UTF-8")
-    text = text.rstrip("\x1a").replace("\r\n", "\n").replace("\r", "\n")  # end of file in DOS: Ctrl-Z
-    text = text.replace("\u2212", "-").replace("\u2013", "-")
-    if control := _CONTROL.search(text):
-        line = text.count("\n", 0, control.start()) + 1
-        problem = f"not a text file: a control character (0x{ord(control[0]):02x})"
-        raise FileError(path, f"line {line}: {problem} - export it as text")
-    return text
-
-
-def _table_of(path: Path, lines: list[str], options: Sequence[ColumnOption], word: str) -> Table:
-    """Make a table of lines of text, or of rows of a sheet with cells separated by tabs."""
-    text = word == "line"
-    if len(lines) > MAX_ROWS:
-        raise FileError(path, f"{len(lines)} {word}s are more than the {MAX_ROWS} accepted in a log: cut it")
-    filled = [k for k, line in enumerate(lines[: 10 * HEAD_WITHIN]) if line.strip()][:HEAD_WITHIN]
-    if not any(map(str.strip, lines)):
-        raise FileError(
-            path, "empty: a header and rows of numbers are needed" + ("" if text else "; --sheet names another")
-        )
-    separators = tuple(SEPARATORS) if text else ("\t",)
-    candidates = [
-        (k + 1, separator, _split(_uncommented(lines[k])[: 100 * MAX_COLUMNS], separator))
-        for k in filled
-        for separator in separators
-        if separator != " " or max(map(lines[k].count, ";|,")) < 2  # a file of commas is not one of spaces
-    ]
-    best = max(candidates, key=lambda candidate: _named(candidate[2], options), default=None)
-    if best is None or _named(best[2], options) < 2:
-        several = [(k, cells) for k, separator, cells in candidates if len(cells) > text and separator != " "]
-        several = several or [(k, cells) for k, _, cells in candidates if len(cells) > text][:1] or [(1, [])]
-        number, found = max(several, key=lambda row: sum(map(bool, row[1])))
-        problem = f"no header with two known quantities; found: {_listed(found) or 'none'}"
-        hint = f"declare them: --columns 'HEAD=QUANTITY', with QUANTITY one of {', '.join(NAMES)}"
-        if found and all(not cell or _NUMBER_OR_TIME.fullmatch(cell) for cell in found):
-            hint = "is the header missing? Write one above the rows, like 'time [s]', 'length [m]', 'air [m3/h]'"
-        raise FileError(path, f"{word} {number}: {problem} - {hint}")
-    head, separator, _ = best
-    heads = _split(_uncommented(lines[head - 1]), separator)
-    if len(heads) > MAX_COLUMNS:
-        raise FileError(path, f"{word} {head}: {len(heads)} columns are more than {MAX_COLUMNS}")
-    remarks = (line for line in lines[: head - 1] if line.startswith(CSV_COMMENT))
-    steps = any(line.partition(":")[2].strip() == "steps" for line in remarks)
-    body = lines[head:]
-    if not text:  # cells at the end of a row may be empty
-        body = [line + "\t" * (len(heads) - 1 - line.count("\t")) for line in body]
-    rows = pa.array(body, pa.large_string())
-    labels = next((line for line in lines[:head] if line.startswith("Y_Unit_Label")), "")  # of LabVIEW
-    skipped = matches(rows, _COMMENT if text else r"^\s*$") & ~matches(rows, _TOO_NARROW)
-    numbers = np.flatnonzero(~skipped) + head + 1
-    below = _split(lines[numbers[0] - 1], separator) if len(numbers) else []
-    filled_below = [cell for cell in below if cell]
-    units = [*["", *_split(labels, separator)[1:]][: len(heads)], *[""] * len(heads)][: len(heads)]
-    if filled_below and all(looks_like_unit(cell) and not _NUMBER_OR_TIME.fullmatch(cell) for cell in filled_below):
-        units = [*(cell.strip("[]() ") for cell in below), *units][: len(heads)]
-        numbers = numbers[1:]
-        third = [cell for cell in _split(lines[numbers[0] - 1], separator) if cell] if len(numbers) else []
-        if third and not any(re.search(r"^[\d+.,-]|\d:\d", cell) or re.match(MISSING, cell) for cell in third):
-            numbers = numbers[1:]  # names of objects, or "Smp" and "Avg"
-    if not len(numbers):
-        raise FileError(path, f"{word} {head}: a header without rows below it: at least two are needed")
-    columns = _columns(path, rows.take(pa.array(numbers - head - 1)), numbers, separator, heads, word)
-    return Table(path, tuple(heads), tuple(units), columns, numbers, word, separator if text else "", steps)
-
-
-def _named(cells: Sequence[str], options: Sequence[ColumnOption]) -> int:
-    """Number of quantities that a row names."""
-    named = {option.quantity for cell in cells if cell for option in options if option.means(cell)}
-    return len(named | {name for cell in cells if (name := quantity_of(cell))})
-
-
-def _listed(heads: Sequence[str]) -> str:
-    """The first headings, for an error."""
-    return ", ".join(repr(head[:60]) for head in heads[:HEADS_SHOWN]) + (" ..." if len(heads) > HEADS_SHOWN else "")
-
-
-def _uncommented(line: str) -> str:
-    return re.sub(r"^\s*[#%!]", "", line)
-
-
-def _split(line: str, separator: str) -> list[str]:
-    """Cells of a header or a row of units."""
-    if separator == " ":
-        for pattern, joined in _SPACED_TIME:
-            line = re.sub(pattern, joined, line)
-        return re.split(r"\s+(?![\[(])", line.strip())  # a unit belongs to its word
-    if separator == "|":
-        line = re.sub(_END_PIPES, "", line)
-    cells = line.split(separator)
-    if '"' in line:
-        with suppress(csv.Error):
-            cells = next(csv.reader([line], delimiter=separator, skipinitialspace=True))
-    return [cell.strip() for cell in cells]
-
-
-def _columns(
-    path: Path, lines: Any, numbers: IntArray, separator: str, heads: Sequence[str], word: str
-) -> tuple[Any, ...]:
-    """Trimmed texts (rows,) of every column; empty below last heads that no row fills."""
-    count = len(heads)
-    if word == "line" and pc.any(pc.match_substring(lines, '"')).as_py():
-        cells = pa.array(_quoted_rows(path, lines.to_pylist(), numbers, separator, count), pa.list_(pa.large_string()))
-    elif separator == " ":
-        for pattern, joined in _SPACED_TIME[any(quantity_of(head) == DATE for head in heads) :]:
-            lines = pc.replace_substring_regex(lines, pattern, joined)
-        cells = pc.utf8_split_whitespace(pc.utf8_trim_whitespace(lines))
-    else:
-        if separator == "|":
-            lines = pc.replace_substring_regex(lines, _END_PIPES, "")
-        end = re.escape(separator) + r"[ ]*$"
-        counts = np.asarray(pc.count_substring(lines, separator))
-        # LabVIEW writes a comment in some rows only; behind commas, decimal commas would look like one
-        if heads[-1].casefold() == "comment" and separator != "," and (counts == count - 2).any():
-            lines = pc.if_else(pa.array(counts == count - 2), pc.replace_substring_regex(lines, "$", separator), lines)
-        closed = counts == count  # a separator after the last cell
-        if (closed & matches(lines, end)).any():
-            lines = pc.if_else(pa.array(closed), pc.replace_substring_regex(lines, end, ""), lines)
-        cells = pc.split_pattern(lines, separator)
-    lengths = np.asarray(pc.list_value_length(cells))
-    filled = count
-    if (lengths == lengths[0]).all() and not any(map(quantity_of, heads[lengths[0] :])):
-        filled = min(count, int(lengths[0]))
-    wrong = np.flatnonzero(lengths != filled)
-    if len(wrong):
-        k = int(wrong[0])
-        hint = f"correct that {word} or delete it"
-        if k == len(lengths) - 1 and lengths[k] < count:
-            hint = "the file ends within it: delete that line"
-        if len(wrong) == len(lengths) > 1 and lengths[k] < count:
-            hint = "the header has more names than the rows have values: correct it"
-        elif separator == "," and len(wrong) == len(lengths) and lengths[k] > count:
-            hint = "decimal commas and separating commas are ambiguous: export it with semicolons"
-        values = f"{lengths[k]} values for {count} columns" + f", separated by {SEPARATORS[separator]}" * (
-            word == "line"
-        )
-        raise FileError(path, f"{word} {numbers[k]}: {values} - {hint}")
-    flat = pc.utf8_trim(pc.list_flatten(cells), " \t\u00a0\u2009\u202f\ufeff")
-    empty = pa.array([""], pa.large_string()).take(pa.array(np.zeros(len(lengths), dtype=int)))
-    columns = (flat.take(pa.array(np.arange(k, len(flat), filled))) for k in range(filled))
-    return (*columns, *[empty] * (count - filled))
-
-
-def _quoted_rows(path: Path, lines: list[str], numbers: IntArray, separator: str, count: int) -> list[list[str]]:
-    reader = csv.reader(lines, delimiter=separator, strict=True, skipinitialspace=True)
-    rows: list[list[str]] = []
-    try:
-        for row in reader:
-            rows.append(row[:-1] if len(row) == count + 1 and not row[-1].strip() else row)
-            if reader.line_num != len(rows):
-                raise FileError(path, f"line {numbers[len(rows) - 1]}: a quote is not closed")
-    except csv.Error as error:
-        raise FileError(path, f"line {numbers[len(rows)]}: not CSV: {error}") from error
-    return rows
-
-
-def _indices(table: Table, options: Sequence[ColumnOption]) -> tuple[dict[str, int], dict[str, str]]:
-    """Index of the column of every quantity, and units from ``--columns``."""
-    indices: dict[str, int] = {}
-    ignored: list[int] = []
-    for option in options:
-        found = [k for k, head in enumerate(table.heads) if head == option.head]
-        found = found or [k for k, head in enumerate(table.heads) if head and option.means(head)]
-        name = f"column {option.head[:60]!r}"
-        if len(found) != 1:
-            often = "does not exist" if not found else f"exists {len(found)} times: rename one in the file"
-            raise FileError(table.path, f"{name} of --columns {often}; found: {_listed(table.heads)}")
-        if found[0] in {*indices.values(), *ignored}:
-            raise FileError(table.path, f"{name} is named twice in --columns: a column is one quantity")
-        if option.quantity == IGNORED:
-            ignored.append(found[0])
-        else:
-            indices[option.quantity] = found[0]
-    by_option = dict(indices)
-    for k, head in enumerate(table.heads):
-        quantity = quantity_of(head)
-        if k in {*by_option.values(), *ignored} or quantity is None or quantity in by_option:
-            continue
-        if quantity in indices:
-            first = indices[quantity]
-            if table.columns[k].equals(table.columns[first]):
-                continue
-            hint = (
-                f"choose one, --columns 'HEAD={quantity}'" if head != table.heads[first] else "rename one in the file"
-            )
-            both = f"columns {table.heads[first]!r} and {head!r} are both {quantity}"
-            raise FileError(table.path, f"{both}: {hint}")
-        indices[quantity] = k
-    if "time" not in indices and not table.heads[0] and matches(table.columns[0][:1], MORE_THAN_NUMBER).all():
-        indices["time"] = 0  # the index of a table of pandas
-    return indices, {option.quantity: option.unit for option in options if option.unit}
-
-
-def _written_unit(table: Table, k: int) -> str:
-    """Unit of a column by its heading or the row below; empty without."""
-    return split_head(table.heads[k])[1] or table.units[k]
-
-
-def _factor(table: Table, quantity: Quantity, k: int, units: Mapping[str, str]) -> float:
-    head, written = table.heads[k], _written_unit(table, k)
-    unit = units.get(quantity.name) or written
-    if not unit and quantity.name == "time":
-        unit = quantity.unit
-    if not unit:
-        hint = f"declare it, --columns '{normalized(head)}={quantity.name}[UNIT]'"
-        raise FileError(table.path, f"column {head!r} has no unit: {hint}")
-    try:
-        factor = si_factor(unit, quantity)
-        if written != unit:  # a declaration does not make newtons of volts
-            with suppress(UnknownUnitError):
-                si_factor(written, quantity)
-    except ValueError as error:
-        problem = str(error).replace("'HEAD=", f"'{normalized(split_head(head)[0])}=")
-        raise FileError(table.path, f"column {head!r}: {problem}") from error
-    return factor
-
-
-def _in_range(quantity: Quantity, values: FloatArray) -> FloatArray:
-    low, high = quantity.low, quantity.high
-    wrong = (values < low - quantity.noise) | (values > high)
-    if wrong.any():
-        row, unit = int(wrong.argmax()), quantity.unit
-        value, minimum, maximum = (number / quantity.scale for number in (values[row], low, high))
-        problem = (
-            f"{quantity.name} = {value:.6g} {unit} is outside the accepted range {minimum:g} to {maximum:g} {unit}"
-        )
-        raise CellError(row, f"{problem} - is the unit right?")
-    return np.asarray(np.where(values < low, low, values))
 
 
 def _decimal_sign(table: Table, columns: Mapping[int, Any]) -> str:
@@ -736,7 +564,7 @@ def _plain_number(text: str) -> float | None:
     return None
 
 
-def _numbers(cells: Any, sign: str) -> FloatArray:
+def _numbers(cells: Any, sign: str, is_time: bool = False) -> FloatArray:
     """Finite numbers (rows,) of trimmed texts, NaN where missing."""
     other = "," if sign == "." else "."
     if sign == "." or not matches(cells, r"\.").any():
@@ -757,7 +585,7 @@ def _numbers(cells: Any, sign: str) -> FloatArray:
     word = next((text for text in cells.filter(pa.array(~good))[:1].to_pylist() if re.search("[A-Za-z]", text)), "")
     if re.fullmatch(r"[+-]?\d[\d.,]*\s*[A-Za-z/]+", word):
         hint = " - a unit belongs in the heading: correct it"
-    elif word and word.isprintable():
+    elif word and word.isprintable() and not is_time:
         hint += f", or if it marks a missing value, --missing={shlex.quote(word[:40])}"
     check(cells, good, f"is not a finite number{hint}")
     return values

@@ -28,9 +28,19 @@ _YEAR_LAST: Final = r"^(.*?\d)\s+(\d\d?:\d\d:\d\d)\s+(\d{4})$", r"\1 \3 \2"
 _TIME: Final = (
     r"(?i)^(?:(?P<date>\S.*?)[\s,T_:-]\s*)??(?P<first>\d{1,4}):(?P<second>\d\d)(?::(?P<third>\d\d))?"
     r"(?P<fraction>[.,]\d+|:\d{3})?[\s\x{a0}\x{202f}]*(?:(?P<half>[ap])\.?\s?m\.?)?\s*"
-    r"(?P<zone>[a-z]{1,5}|[+-]\d\d(?::?\d\d)?)?$"
+    r"(?P<zone>[a-z]{1,5}|(?:GMT|UTC)?[+-]\d\d(?::?\d\d)?)?$"
 )
 """Date, clock time (first is the hour, or the minute of mm:ss), fraction of a second, AM or PM, time zone."""
+_ZONES: Final = {
+    "BST": 1, "CET": 1, "MEZ": 1, "CEST": 2, "MESZ": 2, "EET": 2, "EEST": 3, "EST": -5, "EDT": -4, "CST": -6, "CDT": -5,
+    "MST": -7, "MDT": -6, "PST": -8, "PDT": -7,
+}  # fmt: skip
+"""Hours from UTC of the names of zones; others have none."""
+_PREFIX: Final = r"(?i)^L?(?:DT|DATE_AND_TIME|TOD|TIME_OF_DAY)#"
+_DURATION: Final = r"(?i)^L?T(?:IME)?#"
+"""Before the times and durations of a PLC (IEC 61131-3): DT#2025-03-04-09:59:40, T#12s500ms."""
+_ZONE_NAME: Final = r"\s*(?:\[[^\[\]]*\]|\([^()]*\))$"
+"""Name of a zone behind its offset: [Europe/Berlin], (Central European Standard Time)."""
 MINUTES: Final = r"^\d{1,4}:\d\d(?:[.,]\d+)?$"
 """mm:ss."""
 _CLOCK: Final = r"^\d{1,4}:\d\d"
@@ -42,6 +52,8 @@ _EXAMPLES: Final = "2024-05-31T14:05:09.25, 31.05.2024 14:05:09, 5/31/2024 2:05:
 _FORM: Final = "if all are like that, name their form, --time-format '%d.%m.%y %H:%M:%S'"
 _LIKE: Final = f"is not a time like {_EXAMPLES} - correct it, or {_FORM}"
 _UNLIKE: Final = "is another form of time than {!r} above: correct it"
+_CHANGE: Final = 60.0
+"""Longest step of a log, besides the hour, at a change to or from summer time [s]."""
 _MAX_DATES: Final = 100
 """Different dates in a log; it lasts at most 1e5 s."""
 
@@ -73,11 +85,11 @@ def are_serial_days(times: FloatArray) -> bool:
 
 
 class CellError(ValueError):
-    """A cell that cannot be read; the reader adds file, line and column."""
+    """A cell that cannot be read; the reader adds file, line and column (if it is another than expected, by index)."""
 
-    def __init__(self, row: int, problem: str) -> None:
+    def __init__(self, row: int, problem: str, column: int | None = None) -> None:
         super().__init__(problem)
-        self.row, self.problem = row, problem
+        self.row, self.problem, self.column = row, problem, column
 
 
 def check(cells: Any, good: BoolArray, problem: str) -> None:
@@ -108,8 +120,8 @@ def days_of(dates: Any, clocks: Any, form: str = "") -> FloatArray | None:
     return numbers
 
 
-def seconds(cells: Any, form: str = "", days: FloatArray | None = None) -> FloatArray:
-    """Seconds (rows,) of trimmed timestamps or clock times, from any origin; NaN if missing.
+def seconds(cells: Any, form: str = "", days: FloatArray | None = None) -> tuple[FloatArray, list[str]]:
+    """Seconds (rows,) of trimmed timestamps or clock times, from any origin, and notes; NaN if missing.
 
     Without days, clock times continue after midnight, and mm:ss after the full hour. Whether the day or the month is
     first in dates follows from the dates: a log lasts hours, so the order with the shortest duration is right.
@@ -123,7 +135,7 @@ def seconds(cells: Any, form: str = "", days: FloatArray | None = None) -> Float
     rows = np.flatnonzero(~missing)
     times = np.full(len(cells), np.nan)
     if not len(rows):
-        return times
+        return times, []
     present = cells.filter(pa.array(~missing))
     try:
         clock, period = _by_form(present, form) if form else _detected(present)
@@ -134,12 +146,36 @@ def seconds(cells: Any, form: str = "", days: FloatArray | None = None) -> Float
     falls = np.diff(clock, prepend=clock[:1]) < -0.5 * period
     begins_again = (clock <= period).all()  # else elapsed times
     times[rows] = clock + period * np.cumsum(falls) if falls.any() and begins_again else clock
-    return times
+    if not form and period == HOUR:
+        return times, ["is read as mm:ss; for hh:mm, --time-format %H:%M"]
+    return times, _without_summer_time(times, rows) if np.isinf(period) and days is None else []
+
+
+def _without_summer_time(times: FloatArray, rows: Any) -> list[str]:
+    """Take a clock that is put back, or forward, by an hour in the night to a Sunday as continued, in place; notes."""
+    notes = []
+    clock = times[rows]
+    steps = np.diff(clock)
+    for shift, change in ((HOUR, "put back"), (-HOUR, "put forward")):
+        changes = np.abs(steps + shift) < _CHANGE if shift < 0.0 else (steps < 0.0) & (steps + shift < _CHANGE)
+        for k in np.flatnonzero(changes & (steps + shift > 0.0)):
+            day, second = divmod(clock[k + 1], DAY)
+            if day % 7 == 0 and second < 4 * HOUR:
+                times[rows[k + 1 :]] += shift
+                notes.append(f"is {change} by an hour, to or from summer time, and is continued")
+    return notes
 
 
 def _detected(cells: Any) -> tuple[FloatArray, float]:
     """Seconds (rows,) of texts, none of which is missing, and the period after which they begin again [s]."""
-    texts = pc.replace_substring_regex(pc.replace_substring_regex(cells, *_COMPACT), *_YEAR_LAST)
+    if matches(cells[:1], _DURATION).any():
+        bare = pc.replace_substring_regex(pc.replace_substring_regex(cells, _DURATION, ""), "_", "")
+        elapsed = pd.to_timedelta(bare.to_pandas(), errors="coerce")
+        check(cells, elapsed.notna().to_numpy(), _LIKE)
+        return np.asarray(elapsed.dt.total_seconds()), np.inf
+    texts = cells
+    for pattern, text in ((_PREFIX, ""), (_ZONE_NAME, ""), _COMPACT, _YEAR_LAST):
+        texts = pc.replace_substring_regex(texts, pattern, text)
     parts = pc.extract_regex(texts, _TIME)
     check(cells, np.asarray(parts.is_valid()), _LIKE)
     field = {part.name: parts.field(k) for k, part in enumerate(parts.type)}
@@ -147,7 +183,7 @@ def _detected(cells: Any) -> tuple[FloatArray, float]:
     for name in ("date", "half", "zone", "third")[: 4 - dated]:
         filled = matches(field[name], ".")
         check(cells, filled == filled[0], _UNLIKE.format(cells[0].as_py()[:40]))
-    if field["zone"][0].as_py().isalpha():  # names have no offset
+    if field["zone"][0].as_py().isalpha() and not pc.all(pc.is_in(field["zone"], _KNOWN)).as_py():  # have no offset
         check(cells, np.asarray(pc.equal(field["zone"], field["zone"][0])), _UNLIKE.format(cells[0].as_py()[:40]))
     first, second, third = (_floats(field[name]) for name in ("first", "second", "third"))
     if halved:
@@ -163,7 +199,8 @@ def _detected(cells: Any) -> tuple[FloatArray, float]:
         return clock, DAY if hours else HOUR
     days = _days(field["date"])
     check(cells, ~np.isnan(days), _LIKE)
-    return np.asarray(DAY * (days - days[0]) + clock), np.inf
+    origin = days[0] // 7 * 7  # a Sunday
+    return np.asarray(DAY * (days - origin) + clock), np.inf
 
 
 def _by_form(cells: Any, form: str) -> tuple[FloatArray, float]:
@@ -193,7 +230,11 @@ def _of_unique(texts: Any, number: Callable[[str], float]) -> FloatArray:
 
 
 def _offset(zone: str) -> float:
-    """Seconds from UTC of "+02:00" or "-0530"; 0 for a name."""
+    """Seconds from UTC of "+02:00", "GMT-0530" or "CEST"; 0 for an unknown name."""
+    zone = zone.upper()
+    if zone.isalpha():
+        return HOUR * _ZONES.get(zone, 0)
+    zone = zone.removeprefix("GMT").removeprefix("UTC")
     digits = re.sub(r"\D", "", zone).ljust(4, "0")
     return float(f"{zone[:1]}1") * (HOUR * int(digits[:2]) + 60.0 * int(digits[2:])) if digits.strip("0") else 0.0
 
@@ -231,3 +272,4 @@ def _day(text: str, day_first: bool, year_first: bool) -> float:
 
 
 _GERMAN: Final = _Names()
+_KNOWN: Final = pa.array(["Z", "GMT", "UTC", *_ZONES], pa.large_string())
