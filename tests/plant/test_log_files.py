@@ -531,7 +531,7 @@ def test_passes_of_a_log(tmp_path):
         assert log.time == pytest.approx(range(len(lengths)))
         assert f"Read is pass {2 if passage == 'out' else passage}" in log.notes[0]
     path.write_text("time [s];speed [m/s];air [m3/h]\n" + "".join(f"{t};{-0.2};63\n" for t in range(20)))
-    with pytest.raises(FileError, match="negative throughout: is its sign reversed .*or is it a withdrawal"):
+    with pytest.raises(FileError, match=r"negative throughout: is its sign reversed .*or is it a withdrawal"):
         read(path)
     assert read(path, passage="out").feed_speed == pytest.approx([0.2] * 20)
 
