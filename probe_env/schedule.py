@@ -7,7 +7,7 @@ import math
 import re
 import reprlib
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Final, Literal
@@ -38,6 +38,8 @@ SEPARATORS: Final = (
     " - semicolons or decimal commas? Commas between columns need decimal points; where semicolons are between columns,"
     " probe-env reads decimal commas, too"
 )
+WRONG_UNIT, ENOUGH = 0.1, 5.0
+"""Ratio of length and fed length of a log below which a unit is wrong, if one of them is more than this [m]."""
 STEP: Final = 1e-6
 """Distance of two points at the same place, a step in a linear schedule [m or s]."""
 MAX_BYTES, MAX_POINTS, MAX_COLUMNS = 64 * MEBI, 1_000_000, 1000
@@ -243,10 +245,17 @@ def _validated(
         elif now <= before:
             hint = "; two rows at the same place are a step" * (now == before and interpolation == "linear")
             raise FileError(path, f"{location}, {column} = {now!r} must be greater than {before!r} before it{hint}")
-    start = None
-    if over == "time" and length in rows[0][1]:  # initial length of a log
-        start = _number(path, rows[0][0], length, rows[0][1][length], (0.0, *POSITIONS[length][1:]))
-    return Schedule(over, interpolation, position, feed, tuple(value / 3600.0 for value in air), start)
+    schedule = Schedule(over, interpolation, position, feed, tuple(value / 3600.0 for value in air))
+    if over == "inserted_length" or length not in rows[0][1]:
+        return schedule
+    first, accepted = rows[0][1][length], (0.0, *POSITIONS[length][1:])  # a log; its last length may be missing
+    ends = ((place, row.get(length) or first) for place, row in (rows[0], rows[-1]))
+    start, end = (_number(path, place, length, value, accepted) for place, value in ends)
+    fed, moved = float(schedule.fed_length(position[-1])), end - start
+    if 0.0 < min(fed, moved) < WRONG_UNIT * max(fed, moved) and max(fed, moved) > ENOUGH:
+        problem = f"{length} rises by {moved:.4g} m, and speed times time is {fed:.4g} m"
+        raise FileError(path, f"{problem}: is the unit of time, length or speed right?")
+    return replace(schedule, start_length=start)
 
 
 def _number(path: Path, location: str, name: str, value: Any, accepted: tuple[float, float, str]) -> float:

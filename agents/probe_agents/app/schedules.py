@@ -155,12 +155,20 @@ def policy_line(spec: str, case: EvaluationCase) -> Line:
 def log_line(path: Path) -> Line:
     """Feed and air of a rig log."""
     log = read_log(path)
+    for note in (*log.notes, *(f"The column {fault.text}." for fault in log.faults)):
+        warnings.warn(note, stacklevel=2)
     return Line(log.inserted_length, log.feed_speed, log.air_supply_rate)
 
 
-def read_in_child(read: Callable[[Path], T], path: Path) -> Future[T]:
-    """Read a file in a process of its own: the server goes on, whatever time and memory the file takes."""
+def _with_warnings(read: Callable[[Path], T], path: Path) -> tuple[T, list[str]]:
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        return read(path), [str(warning.message) for warning in caught]
+
+
+def read_in_child(read: Callable[[Path], T], path: Path) -> Future[tuple[T, list[str]]]:
+    """Read a file in a process of its own: the server goes on, whatever time and memory it takes. Also its warnings."""
     pool = ProcessPoolExecutor(1, get_context("spawn"), max_tasks_per_child=1)
-    future = pool.submit(read, path)
+    future = pool.submit(_with_warnings, read, path)
     pool.shutdown(wait=False)  # after this file
     return future

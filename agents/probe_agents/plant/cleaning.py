@@ -32,6 +32,8 @@ TURN: Final = 1.0
 """Motion back from which another pass begins [m]; ``Bounds.backward`` is at most this."""
 COARSE: Final = 10
 """Steps of a coarse encoder over which the feed is averaged."""
+STANDS: Final = 5.0
+"""Time between two steps, in units of the usual one, from which the probe stands in between."""
 STUCK: Final = 0.1
 """Share of a log in which a measured channel that does not change by a digit is told."""
 STUCK_ROWS: Final = 20
@@ -170,7 +172,7 @@ def _length(
     if speed is not None and fed is not None:
         by_encoder, absolute, relative = encoder - encoder[0], AGREEMENT[0] + step, AGREEMENT[1]
         small, large = sorted((abs(by_encoder[-1]), abs(fed[-1])))
-        if large > WRONG_UNIT * max(small, absolute) and small > 0.0:
+        if large > max(WRONG_UNIT * small, 2.0 * absolute) and small > 0.0:
             problem = f"the encoder moves {by_encoder[-1]:.4g} m, and speed times time is {fed[-1]:.4g} m"
             k = channels.indices["feed_speed"]
             declared = table.option(channels.indices["time"], "time", "UNIT")
@@ -191,7 +193,11 @@ def _length(
         nodes, how = moves + 1, "by the speed column"
         length = fed + np.interp(time, time[nodes], (encoder - fed)[nodes])
     else:
-        nodes, how = np.unique([0, *(moves[::COARSE] + 1), moves[-1] + 1]), f"the average over {COARSE} steps"
+        how, times = f"the average over {COARSE} steps", time[moves + 1]
+        usual = float(np.median(np.diff(times)))
+        rests = np.flatnonzero(np.diff(times) > max(DWELL, STANDS * usual))  # ends a usual step before the next move
+        ends = np.searchsorted(time, times[rests + 1] - usual)
+        nodes = np.unique(np.concatenate([[0], moves[::COARSE] + 1, moves[rests] + 1, ends, moves[-1:] + 1]))
         last = nodes[-1]
         slope = (encoder[last] - encoder[nodes[-2]]) / (time[last] - time[nodes[-2]])
         end = encoder[last] + min(step, slope * (time[-1] - time[last]))

@@ -44,7 +44,7 @@ _TOO_NARROW: Final = r"^\s*#{2,}\s*[;,\t|]"
 """A cell of ####, as Excel writes a time in a narrow column."""
 _SUMMARY: Final = (
     r'(?i)^[\s"]*(?:min|max|mean|average|avg|median|std|stdev|sum|total|rms|mittel|mittelwert|summe)'
-    r'(?:imum)?[.:]?"?\s*[;,\t| ]'
+    r'(?:imum)?[.:]?"?\s*(?:[;,\t| ].*)?[;,\t| ]\s*"?[+-]?\d'
 )
 """A row of statistics."""
 _SPACED_TIME: Final = (
@@ -203,6 +203,8 @@ def _table_of(path: Path, source: Source, options: Sequence[ColumnOption]) -> Ta
             hint = "is the header missing? Write one above the rows, like 'time [s]', 'length [m]', 'air [m3/h]'"
         raise NoHeaderError(path, f"{word} {best.first + 1}: {problem} - {hint}")
     first, end, separator, heads = head
+    if separator == "|" and lines[first].lstrip().startswith("|"):
+        lines = [re.sub(_END_PIPES, "", line) for line in lines]
     if len(heads) > MAX_COLUMNS:
         raise FileError(path, f"{word} {first + 1}: {len(heads)} columns are more than {MAX_COLUMNS}")
     remarks = (line for line in lines[:first] if line.startswith(CSV_COMMENT))
@@ -214,11 +216,21 @@ def _table_of(path: Path, source: Source, options: Sequence[ColumnOption]) -> Ta
     labels = next((line for line in lines[:end] if line.startswith("Y_Unit_Label")), "")  # of LabVIEW
     repeated = np.asarray(pc.is_in(rows, pa.array([line for line in lines[first:end] if line], pa.large_string())))
     summary = matches(rows, _SUMMARY)
+    wide = np.asarray(pc.count_substring(rows, separator)) >= len(heads) - 1
+    comment = matches(rows, r"^\s*[#%!].*\d") & wide if separator != " " else np.zeros_like(summary)
     skipped = repeated | summary | matches(rows, _COMMENT if text else r"^\s*$") & ~matches(rows, _TOO_NARROW)
     notes = [*source.notes]
-    for left_out, what in ((repeated, "repeats the header"), (summary, "is of statistics (Min, Max, Mean)")):
+    above = np.array(
+        [sum(map(bool, map(NUMBER_OR_TIME.fullmatch, _split(line, separator)))) > 1 for line in lines[:first]]
+    )
+    for left_out, what, start in (
+        (above, "is above the header", 1),
+        (repeated, "repeats the header", end + 1),
+        (summary, "is of statistics (Min, Max, Mean)", end + 1),
+        (comment, "is a comment", end + 1),
+    ):
         if left_out.any():
-            number, more = int(left_out.argmax()) + end + 1, int(left_out.sum()) - 1
+            number, more = int(left_out.argmax()) + start, int(left_out.sum()) - 1
             notes.append(f"Left out: {word} {number} {what}" + f", and {more} more" * bool(more) + ".")
     numbers = np.flatnonzero(~skipped) + end + 1
     below = _split(lines[numbers[0] - 1], separator) if len(numbers) else []
@@ -245,7 +257,10 @@ def _headers(lines: Sequence[str], text: bool, options: Sequence[ColumnOption]) 
         for separator in SEPARATORS if text else ("\t",):
             if separator == " " and max(map(lines[k].count, ";|,\t")) > 1:
                 continue  # a file of commas is not one of spaces
-            cells = _split(_uncommented(lines[k])[: 100 * MAX_COLUMNS], separator)
+            line = _uncommented(lines[k])[: 100 * MAX_COLUMNS]
+            if separator == "|" and line.lstrip().startswith("|"):
+                line = re.sub(_END_PIPES, "", line)
+            cells = _split(line, separator)
             yield _Header(k, k + 1, separator, cells)
             lower = _split(lines[below][: 100 * MAX_COLUMNS], separator)
             if below and len(lower) == len(cells) and not any(map(NUMBER_OR_TIME.fullmatch, lower)):
@@ -300,8 +315,6 @@ def _split(line: str, separator: str) -> list[str]:
         for pattern, joined in _SPACED_TIME:
             line = re.sub(pattern, joined, line)
         return re.split(r"\s+(?![\[(])", line.strip())  # a unit belongs to its word
-    if separator == "|":
-        line = re.sub(_END_PIPES, "", line)
     cells = line.split(separator)
     if '"' in line:
         with suppress(csv.Error):
@@ -321,8 +334,6 @@ def _columns(
             lines = pc.replace_substring_regex(lines, pattern, joined)
         cells = pc.utf8_split_whitespace(pc.utf8_trim_whitespace(lines))
     else:
-        if separator == "|":
-            lines = pc.replace_substring_regex(lines, _END_PIPES, "")
         end = re.escape(separator) + r"[ ]*$"
         counts = np.asarray(pc.count_substring(lines, separator))
         # LabVIEW writes a comment in some rows only; behind commas, decimal commas would look like one

@@ -88,7 +88,7 @@ _NUMBERED: Final = re.compile(r"((?:time|zeit)) \d+(?: (?:standardmessrate|defau
 """One of several columns of time, also of catman."""
 _UNIT: Final = re.compile(r"\s*(?:\[([^\[\]]*)\]|\(([^()]*)\)|\bin\s+([^\s\[\]()]+))\s*$")
 """At the end of a head: [mm/s], (m3/h), in mm/s."""
-_TOKEN: Final = "(?:ms|sec|min|mm|cm|um|µm|n?m3|ft|in|kn|lbf|s?cfm|s?lpm|fpm|[smhnlg])"
+_TOKEN: Final = "(?:ns|us|ms|sec|min|mm|cm|um|µm|n?m3|ft|in|kn|lbf|s?cfm|s?lpm|fpm|[smhnlg])"
 _SUFFIX: Final = re.compile(rf"(.+?)_({_TOKEN}(?:_per_{_TOKEN}2?)?)$")
 _BEHIND: Final = re.compile(rf"(.+?),?(?:\s+|\s*/\s*)({_TOKEN}(?:/{_TOKEN}[2²]?)?|n?m³(?:/{_TOKEN})?)", re.IGNORECASE)
 """A unit behind a space or slash: "Feed Speed m/s", "Weg / mm", "Tension, N"."""

@@ -574,8 +574,12 @@ def _numbers(cells: Any, sign: str, is_time: bool = False) -> FloatArray:
                 return values
     missing = matches(cells, MISSING)
     d, g = re.escape(sign), re.escape(other)
-    shape = rf"^[+-]?(?:\d+|\d{{1,3}}(?:{g}\d{{3}})+|\d{{1,3}}(?:{_SPACES}\d{{3}})+)?(?:{d}\d*)?{_POWER}?$"
-    readable = matches(cells, shape) & matches(cells, r"\d") & ~missing
+    whole = rf"\d+|\d{{1,3}}(?:{g}\d{{3}})+|\d{{1,3}}(?:{_SPACES}\d{{3}})+"
+    shape = rf"^[+-]?(?:(?:{whole})(?:{d}\d*)?|{d}\d+){_POWER}?$"
+    readable = matches(cells, shape) & ~missing
+    if (signed := matches(cells, d) & readable).any():  # then a number with groups of thousands has it, too
+        unlike = f"has {other!r}, and other numbers of the column have the decimal sign {sign!r} - correct it"
+        check(cells, ~(matches(cells, g) & readable & ~signed), unlike)
     point = pc.replace_substring(pc.replace_substring_regex(cells, rf"^\+|{g}|{_SPACES}", ""), sign, ".")
     values = np.asarray(pc.if_else(pa.array(readable), point, pa.scalar("nan", pa.large_string())).cast(pa.float64()))
     hint = " - correct it, or leave it empty"

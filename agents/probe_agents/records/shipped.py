@@ -7,6 +7,8 @@ import errno
 from pathlib import Path
 from typing import Final, Literal
 
+from probe_agents.records.sources import file_and_sheet
+
 Kind = Literal["agents", "scenes", "schedules", "logs", "tubes", "design", "train", "studies"]
 PACKAGE: Final = Path(__file__).parents[1]
 AGENT_FILE: Final = "agent.safetensors"
@@ -49,10 +51,10 @@ def shipped_names(kind: Kind) -> tuple[str, ...]:
 
 
 def file_or_shipped(kind: Kind, name: str | Path) -> Path:
-    """An existing file, else the shipped file of this name, with or without its ending."""
-    path = Path(name)
-    if path.exists() and not path.is_dir():
-        return path
+    """An existing file, also FILE#SHEET, else the shipped file of this name, with or without its ending."""
+    file, _ = file_and_sheet(name)
+    if file.exists() and not file.is_dir():
+        return Path(name)
     for file in _files(kind):
         if str(name) in (file.stem, file.name):
             return file

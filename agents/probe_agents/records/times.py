@@ -170,6 +170,7 @@ def _detected(cells: Any) -> tuple[FloatArray, float]:
     """Seconds (rows,) of texts, none of which is missing, and the period after which they begin again [s]."""
     if matches(cells[:1], _DURATION).any():
         bare = pc.replace_substring_regex(pc.replace_substring_regex(cells, _DURATION, ""), "_", "")
+        check(cells, matches(bare, r"(?i)^-?(?:[\d.]+(?:d|h|m|s|ms|us|ns))+$"), _LIKE)
         elapsed = pd.to_timedelta(bare.to_pandas(), errors="coerce")
         check(cells, elapsed.notna().to_numpy(), _LIKE)
         return np.asarray(elapsed.dt.total_seconds()), np.inf

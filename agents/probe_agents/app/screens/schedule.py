@@ -196,7 +196,9 @@ class ScheduleScreen(ui.Screen):
 
     def _finish(self, future: Future[Any], show: Callable[[Any], None]) -> None:
         try:
-            show(future.result())
+            content, notes = future.result()
+            show(content)
+            self.problem.text = "".join(f"<p class='quiet'>{escape(note)}</p>" for note in notes)
         except BrokenProcessPool as error:
             raise ValueError("the process that read the file was killed: is the file too large?") from error
 
