@@ -25,7 +25,7 @@ from probe_agents.evaluation.repeat import (
     verdict_of,
     verdict_text,
 )
-from probe_agents.evaluation.report import other_verdicts
+from probe_agents.evaluation.report import verdicts
 from probe_agents.evaluation.run import evaluate_plan, plan_of
 from probe_agents.policies.cases import read_case
 from probe_agents.policies.fixed import Scheduled
@@ -264,7 +264,8 @@ def test_report_of_one_tube_lists_metres_to_repeat(tmp_path):
     pd.testing.assert_frame_equal(pd.read_csv(tmp_path / "repeat.csv"), expected)
     assert [file.name for file in tmp_path.glob("repeat-*.csv")] == ["repeat-mine.csv"]
     sensor = "; with its axial vibration (rms) the sensor is above it in 3.0 m"
-    allowed = f"allowed: at most 0.25 m/s (test_frequency) everywhere{sensor}; 0.0 m to repeat"
-    assert other_verdicts(done, ["held"]) == {"held": allowed}
+    held, _ = verdicts(done)["held"]
+    assert verdict_text(held) == f"allowed: at most 0.25 m/s (test_frequency) everywhere{sensor}"
+    assert f"{sensor}; 0.0 m to repeat</li>" in (tmp_path / "report.html").read_text()
     offered = {item.policy: unquote(item.address) for item in downloads(done.table, done.profile)}
     assert [content.splitlines()[-1].split(",")[1] for content in offered.values()] == ["0.3", "0.25"]  # by rank

@@ -189,7 +189,7 @@ def test_bands_and_curves_of_a_stored_evaluation(tmp_path, capsys):
     drawn = statistics.bands(found(good=[7.0, 8.0, 9.0], bad=[2.0, 3.0, 4.0]))
     assert drawn["pod"].between(drawn["low"] - 1e-12, drawn["high"] + 1e-12).all()
     assert len(drawn) == 2 * len(DEPTHS)
-    assert figures.curves(drawn, tmp_path / "pod.png").stat().st_size > 5000
+    assert len(figures.curves(drawn)) > 5000
     whole = found(good=[7.0, 8.0, 9.0]).assign(**dict.fromkeys((*KPIS, *Context.model_fields, *ENDINGS), 1.0))
     whole.drop(columns=list(POD_NAMES)).to_parquet(tmp_path / "episodes.parquet", index=False)
     assert statistics.has_curves(whole)

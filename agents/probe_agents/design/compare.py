@@ -9,7 +9,7 @@ from pydantic import FiniteFloat, model_validator
 from tqdm import tqdm
 
 from probe_agents.design.trials import DesignTrials
-from probe_agents.evaluation.kpis import CORE, CORE_FAILURES, OF_DESIGNS, kpis_of
+from probe_agents.evaluation.kpis import CORE, CORE_FAILURES, OF_DESIGNS, heading, kpis_of
 from probe_agents.evaluation.statistics import Interval, failure_text, failures, mean_interval, short
 from probe_agents.policies.cases import TABLE_2
 from probe_agents.policies.catalogue import domains_of, name_and_spec
@@ -131,7 +131,7 @@ def _text(interval: Interval, factor: float = 1.0) -> str:
 def header(summary: pd.DataFrame) -> list[str]:
     """Headers of ``cells``."""
     kpis = kpis_of(summary["kpi"], OF_DESIGNS).values()
-    return ["design", *(f"{name} [{unit}]" if unit else name for name, _, unit in kpis), "reward, change"]
+    return ["design", *map(heading, kpis), "reward, change"]
 
 
 def read_comparison(folder: Path) -> pd.DataFrame:

@@ -25,7 +25,7 @@ from probe_agents.design.trials import DIRECTIONS, OBJECTIVES, DesignProblem, Va
 from probe_agents.evaluation.statistics import bootstrap_ends
 from probe_agents.evaluation.workers import HERE, Workers
 from probe_agents.records.atomic import write_atomically
-from probe_agents.records.drawing import BLUE, GRID, RED, save
+from probe_agents.records.drawing import BLUE, RED, save
 from probe_agents.records.manifest import commit
 from probe_agents.records.result_folder import ResultFolder
 from probe_agents.records.searches import JOURNAL, open_study
@@ -210,7 +210,6 @@ def _draw_front(table: pd.DataFrame, references: pd.DataFrame, path: Path, tube:
         for colour, marker, (probe, rows) in zip((RED, "#d98c00"), "sD", references.groupby("design", sort=False)):  # noqa: B905
             axis.scatter(rows[column], rows["mean_square_ratio"], color=colour, marker=marker, s=40, label=probe)
         axis.set(xlabel=label, yscale="log")
-        axis.grid(**GRID)
     axes[0].set_ylabel("mean of (radial rms / limit)$^2$")
     handles, names = axes[1].get_legend_handles_labels()
     figure.legend(handles, names, loc="outside lower center", ncols=4, frameon=False, fontsize=9)

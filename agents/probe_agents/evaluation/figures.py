@@ -1,16 +1,15 @@
-"""Figures of evaluations."""
+"""Figures of evaluations, as PNG."""
 
-from pathlib import Path
 from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 
-from probe_agents.records.drawing import BLUE, GREY, GRID, MM, RED, escape_dollars, policy_colours, save
+from probe_agents.records.drawing import BLUE, GREY, MM, RED, escape_dollars, picture, policy_colours
 
 
-def trade_off(summary: pd.DataFrame, path: Path) -> Path:
+def trade_off(summary: pd.DataFrame) -> bytes:
     """Share of the length out of the limit over inspection time, with both intervals, one point per policy."""
     figure, axis = plt.subplots(figsize=(9, 5), layout="constrained")
     rows: Any = summary.set_index(["policy", "kpi"])
@@ -21,12 +20,11 @@ def trade_off(summary: pd.DataFrame, path: Path) -> Path:
         along = [[100.0 * (fraction["high"] - fraction["mean"])], [100.0 * (fraction["mean"] - fraction["low"])]]
         axis.errorbar(x, y, xerr=across, yerr=along, fmt="o", capsize=3, color=colour, label=escape_dollars(policy))
     axis.set(xlabel="inspection time [s]", ylabel="length out of the limit [%]", ylim=(0.0, None))
-    axis.grid(**GRID)
     axis.legend(frameon=False)
-    return save(figure, path)
+    return picture(figure)
 
 
-def policy_profiles(profile: pd.DataFrame, path: Path, limit_mm: float | None) -> Path:
+def policy_profiles(profile: pd.DataFrame, limit_mm: float | None) -> bytes:
     """Feed, air and vibration over the inserted length, in bins of two metres, one line per policy."""
     figure, axes = plt.subplots(3, 1, figsize=(9, 8), sharex=True, layout="constrained")
     binned = profile.assign(bin=(profile["inserted_length"] // 2.0) * 2.0 + 1.0)
@@ -44,23 +42,19 @@ def policy_profiles(profile: pd.DataFrame, path: Path, limit_mm: float | None) -
         loud = groups["radial_rms_m"].quantile(0.9) * MM
         axes[2].plot(loud.index, loud, color=colour, linewidth=0.7)
     for axis in axes:
-        axis.grid(**GRID)
         axis.set_ylim(bottom=0.0)
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", frameon=False, ncols=3)
     if limit_mm is not None:
         axes[2].axhline(limit_mm, color=GREY, linestyle=":")
     axes[2].set_xlabel("inserted length [m]")
-    return save(figure, path)
+    return picture(figure)
 
 
-def speed_and_vibration(
-    profile: pd.DataFrame, path: Path, permitted: float, vibration: str, limit: float | None
-) -> Path:
+def speed_and_vibration(profile: pd.DataFrame, permitted: float, vibration: str, limit: float | None) -> bytes:
     """Driven and permitted speed above the vibration over the inserted length: mean and range over the insertions.
 
     Args:
         profile: a row for each metre of the episodes of one policy.
-        path: file of the figure.
         permitted: permitted speed [m/s]; infinite: none.
         vibration: column of the vibration [m].
         limit: its limit [m]; None: not drawn.
@@ -86,12 +80,11 @@ def speed_and_vibration(
             axis.annotate(bound_name, (0.995 if side == "right" else 0.005, bound * factor), color=RED, **at)
         axis.set_ylabel(label)
         axis.set_ylim(0.0, 1.2 * top if top > 0.0 else 1.0)
-        axis.grid(**GRID)
     axes[1].set_xlabel("inserted length [m]")
-    return save(figure, path, dpi=150)
+    return picture(figure, dpi=150)
 
 
-def curves(bands: pd.DataFrame, path: Path) -> Path:
+def curves(bands: pd.DataFrame) -> bytes:
     """Probability of detection over the depth of a flaw, one curve per policy, with 95 % bands over the tubes."""
     figure, axis = plt.subplots(figsize=(8, 5), layout="constrained")
     for policy, colour in policy_colours(bands["policy"]).items():
@@ -102,6 +95,5 @@ def curves(bands: pd.DataFrame, path: Path) -> Path:
     axis.set(xscale="log", ylim=(0.0, 1.0), xlabel="depth [% of the wall]", ylabel="probability of detection")
     axis.set_xticks([2, 5, 10, 20, 50, 100], ["2", "5", "10", "20", "50", "100"])
     axis.minorticks_off()
-    axis.grid(**GRID)
     axis.legend(frameon=False, fontsize=8)
-    return save(figure, path)
+    return picture(figure)

@@ -62,6 +62,12 @@ SCORED_PASSES: Final[dict[str, str]] = {
 """Values of ``TaskConfig.scored_pass`` -> label."""
 
 
+def heading(label: tuple[str, float, str]) -> str:
+    """Heading of a column: name and unit."""
+    name, _, unit = label
+    return f"{name} [{unit}]" if unit else name
+
+
 def label_of(failure: str) -> str:
     """Label of a failure in tables."""
     return failure.replace("_", " ")

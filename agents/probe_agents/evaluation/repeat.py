@@ -240,6 +240,7 @@ class Verdict:
             [m]; NaN: not known.
         loud: intervals in which vibration was above its limit in some tube [m]; none for measures not in ``PROFILED``.
         loud_length: mean length with vibration above its limit [m].
+        insertions: number of insertions.
     """
 
     policy: str
@@ -252,6 +253,12 @@ class Verdict:
     sensor_length: float
     loud: tuple[tuple[float, float], ...]
     loud_length: float
+    insertions: int = 1
+
+    @property
+    def on_average(self) -> str:
+        """What follows a mean length in a sentence."""
+        return " on average" if self.insertions > 1 else ""
 
     @property
     def allowed(self) -> bool:
@@ -274,36 +281,35 @@ def verdict_of(policy: str, cases: Sequence[RepeatCase], config: TaskConfig) -> 
     return Verdict(
         policy, *config.permitted_speed, intervals[SPEED], lengths[SPEED], float(kpis["speed_excess_m_per_s"].max()),
         float(mean["length_to_repeat_m"]), float(mean.get("length_sensor_too_fast_m", math.nan)),
-        intervals[NOISE], lengths[NOISE],
+        intervals[NOISE], lengths[NOISE], len(cases),
     )  # fmt: skip
 
 
-def verdict_text(verdict: Verdict, tubes: int = 1) -> str:
-    """The verdict in a sentence; ``tubes`` is the number of insertions that it is about."""
+def verdict_text(verdict: Verdict) -> str:
+    """The verdict on the speed in a sentence."""
     if not verdict.requirement:
         return "no speed limit of the instrument is set"
-    limit = f"{verdict.permitted:.3g} m/s ({verdict.requirement})"
-    mean = " on average" if tubes > 1 else ""
+    limit, mean = f"{verdict.permitted:.3g} m/s ({verdict.requirement})", verdict.on_average
     sensor = f"; with its axial vibration (rms) the sensor is above it in {verdict.sensor_length:.1f} m{mean}"
     sensor = sensor if verdict.sensor_length > verdict.length else ""
     if verdict.allowed:
         return f"allowed: at most {limit} everywhere{sensor}"
     length, excess = f"{verdict.length:.1f} m{mean}", f"{verdict.excess:.3g} m/s"
-    return f"not allowed: {length} above {limit}, by up to {excess}; {_where_text(verdict.too_fast, tubes)}{sensor}"
+    return f"not allowed: {length} above {limit}, by up to {excess}; {_where(verdict, verdict.too_fast)}{sensor}"
 
 
-def quiet_text(verdict: Verdict, limit: str, tubes: int = 1) -> str:
+def quiet_text(verdict: Verdict, limit: str) -> str:
     """Whether the vibration is within its limit in every metre, in a sentence; ``limit`` with its unit."""
     if not verdict.loud:
         return f"quiet: vibration within {limit} in every metre"
-    length = f"{verdict.loud_length:.1f} m{' on average' if tubes > 1 else ''}"
-    return f"not quiet: vibration above {limit} in {length}; {_where_text(verdict.loud, tubes)}"
+    length = f"{verdict.loud_length:.1f} m{verdict.on_average}"
+    return f"not quiet: vibration above {limit} in {length}; {_where(verdict, verdict.loud)}"
 
 
-def _where_text(intervals: Sequence[tuple[float, float]], tubes: int) -> str:
+def _where(verdict: Verdict, intervals: Sequence[tuple[float, float]]) -> str:
     where = ", ".join(f"{begin:.1f} to {end:.1f}" for begin, end in intervals[:MAX_ROWS])
     more = f" and {len(intervals) - MAX_ROWS} more" if len(intervals) > MAX_ROWS else ""
-    return f"{'in some tube ' if tubes > 1 else ''}at {where} m{more}"
+    return f"{'in some tube ' if verdict.insertions > 1 else ''}at {where} m{more}"
 
 
 def fraction_to_repeat(intervals: Sequence[pd.DataFrame], edges: FloatArray) -> FloatArray:

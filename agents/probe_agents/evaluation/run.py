@@ -8,10 +8,10 @@ from typing import Literal
 import pandas as pd
 
 from probe_agents.evaluation.folder import EPISODE_RECORDS, ReportSettings, is_evaluation, read_evaluation
-from probe_agents.evaluation.kpis import SCORED_PASSES, displayed_kpis
+from probe_agents.evaluation.kpis import SCORED_PASSES, displayed_kpis, heading
 from probe_agents.evaluation.plan import Plan, run_plan
-from probe_agents.evaluation.repeat import by_policy, cases_of, is_judged
-from probe_agents.evaluation.report import ended, verdict_lines
+from probe_agents.evaluation.repeat import verdict_text
+from probe_agents.evaluation.report import ended, verdicts
 from probe_agents.evaluation.report import write_report as write_report
 from probe_agents.evaluation.statistics import (
     BUNDLE_HEADER,
@@ -140,11 +140,8 @@ def evaluate_plan(
     if plan.config.returns:
         print(f"Insertion and withdrawal; scored is {SCORED_PASSES[plan.config.scored_pass]}")
     print_summary(grouped(table), report.against)
-    if is_judged(plan.config):
-        done = read_evaluation(output)
-        cases = by_policy(cases_of(done.table, done.profile, plan.config))
-        for policy, text in verdict_lines(cases, plan.config).items():
-            print(f"{policy}: {text}")
+    for policy, (verdict, _) in verdicts(read_evaluation(output)).items():
+        print(f"{policy}: {verdict_text(verdict)}")
     print_bundle(bundle_table(grouped(table), plan.bundle))
     files = "report.html, episodes.csv, episodes.parquet, profile.parquet, summary.csv"
     print_line(f"written: {output}/ ({files}{', bundle.csv' if plan.bundle else ''})")
@@ -184,7 +181,7 @@ def print_summary(table: pd.DataFrame, against: str) -> None:
             mean, low, high = figures.loc[[kpi], ["mean", "low", "high"]].to_numpy(dtype=float)[0].tolist()
             cells.append(Interval(mean, low, high).text(factor) if low < high else short(mean * factor))
         rows.append(cells)
-    header = ("policy", *(f"{name} [{unit}]" if unit else name for name, _, unit in labels.values()))
+    header = ("policy", *map(heading, labels.values()))
     title = "Means with 95 % intervals over the contexts" if table["context"].nunique() > 1 else "Means in one tube"
     print_table(title, header, rows)
     for name, row in endings(table).iterrows():

@@ -19,7 +19,7 @@ from probe_agents.policies.cases import EvaluationCase
 from probe_agents.policies.catalogue import make_policy
 from probe_agents.policies.policy import Policy
 from probe_agents.records.atomic import write_atomically
-from probe_agents.records.drawing import BLUE, GREY, GRID, MM, RED, escape_dollars, save
+from probe_agents.records.drawing import BLUE, GREY, MM, RED, escape_dollars, save
 from probe_agents.records.manifest import write_json, write_manifest
 from probe_agents.terminal.tables import print_line, print_table
 from probe_env import Context, Fidelity
@@ -329,7 +329,6 @@ def _draw_strip(run: Insertion, chart: Chart, periods: pd.DataFrame, title: str,
     axes[3].set(xlabel="sensor from the entrance of the helix [m]", ylim=(0.0, None))
     axes[3].legend(frameon=False, ncols=2, loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.1)
     for axis in axes:
-        axis.grid(**GRID)
         for position in chart.supports:
             axis.axvline(position, ymin=0.95, color=GREY, linewidth=0.8)
         for flaw in chart.flaws:
@@ -354,8 +353,6 @@ def _draw_flaws(recording: Recording, chart: Chart, path: Path) -> None:
         left.set(xlabel="time [s]", ylabel="[V]", title=f"{100.0 * flaw.depth:g} % at {flaw.position:g} m")
         right.set(xlabel="X [V]", ylabel="Y [V]", aspect="equal", adjustable="datalim")
         left.legend(frameon=False, ncols=2)
-        for axis in (left, right):
-            axis.grid(**GRID)
     save(figure, path)
 
 
@@ -367,7 +364,7 @@ def draw_curves(evaluation: Path, output: Path) -> None:
     curves = statistics.bands(table)
     output.mkdir(parents=True, exist_ok=True)
     write_atomically(output / "pod.csv", curves.to_csv(index=False, float_format="%.5g"))
-    figures.curves(curves, output / "pod.png")
+    write_atomically(output / "pod.png", figures.curves(curves))
     header = ("policy", "a50 [% wall]", "a90 [% wall]", "a90/95 [% wall]")
     rows = [
         (str(row[0]), *(f"{value:.1f}" if value == value else "-" for value in row[1:]))

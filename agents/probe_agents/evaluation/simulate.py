@@ -12,7 +12,7 @@ from scipy.signal import welch
 from tqdm import tqdm
 
 from probe_agents.records.atomic import write_atomically
-from probe_agents.records.drawing import BLUE, GREY, GRID, MM, RED, save
+from probe_agents.records.drawing import BLUE, GREY, MM, RED, save
 from probe_agents.records.manifest import write_json, write_manifest
 from probe_agents.terminal.tables import print_table
 from probe_env import Run, Scene, Simulator
@@ -113,7 +113,6 @@ def _draw(run: Run, scene: Scene, start: float, output: Path, name: str) -> None
     for axis, signal, label in zip(axes, (axial, radial), ("axial x", "radial y"), strict=True):
         axis.plot(run.time, signal * MM, color=BLUE, linewidth=0.6)
         axis.set_ylabel(f"{label} [mm]")
-        axis.grid(**GRID)
     axes[1].axhline(0.0, color=GREY, linewidth=0.8)
     axes[1].set_xlabel("time [s]")
     figure.suptitle(f"{name}: displacement of the sensor")
@@ -126,7 +125,6 @@ def _draw(run: Run, scene: Scene, start: float, output: Path, name: str) -> None
     axis.axhline(0.0, color=GREY, linewidth=0.8)
     axis.set(xlabel="position along the tube [mm]", ylabel="radial y [mm]")
     axis.set_title(f"Locus of the sensor, last {LOCUS_WINDOW:g} s")
-    axis.grid(**GRID)
     save(figure, output / "locus.png")
 
     figure, axes = plt.subplots(2, 1, figsize=(9, 5), sharex=True, layout="constrained")
@@ -138,7 +136,6 @@ def _draw(run: Run, scene: Scene, start: float, output: Path, name: str) -> None
         axis.set_ylabel(f"{label} [mm/√Hz]")
         axis.set_xlim(0.0, HIGHEST_FREQUENCY)
         axis.set_ylim(bottom=0.0)
-        axis.grid(**GRID)
     axes[1].set_xlabel("frequency [Hz]")
     figure.suptitle("Spectra of the sensor")
     save(figure, output / "spectra.png")
@@ -146,11 +143,10 @@ def _draw(run: Run, scene: Scene, start: float, output: Path, name: str) -> None
     figure, axis = plt.subplots(figsize=(9, 3), layout="constrained")
     axis.plot(run.position, run.mean_tension, color=BLUE)
     axis.set(xlabel="distance from the entrance [m]", ylabel="mean tension [N]")
-    axis.grid(**GRID)
     save(figure, output / "tension.png")
 
     if run.shapes is not None:
-        save(_shapes(run, scene), output / "shapes.png")
+        save(_shapes(run, scene), output / "shapes.png", grid=False)
 
 
 def _shapes(run: Run, scene: Scene) -> Figure:

@@ -310,14 +310,14 @@ def draw_corner(calibration: Calibration, path: Path) -> Path:
     finally:
         logging.disable(before)
     figure.set_size_inches(2.2 * len(columns) + 1.0, 2.2 * len(columns) + 1.0)
-    return save(figure, path)
+    return save(figure, path, grid=False)
 
 
 def draw_bands(calibration: Calibration, path: Path) -> Path:
     """Draw every channel of every log over length, with the predicted 90 % band."""
     from matplotlib.figure import Figure
 
-    from probe_agents.records.drawing import BLUE, GREY, GRID, escape_dollars, save
+    from probe_agents.records.drawing import BLUE, GREY, escape_dollars, save
 
     likelihood, cases = calibration.posterior.likelihood, calibration.cases
     present = [name for name in CHANNELS if any(name in case.metres.measured for case in cases)]
@@ -333,7 +333,6 @@ def draw_bands(calibration: Calibration, path: Path) -> Path:
         low, middle, high = np.quantile(sample, [0.05, 0.5, 0.95], axis=0)
         names = [CHANNELS[k] for k in likelihood.chosen[number]]
         for axis, name in zip(axes[:, number], present, strict=True):
-            axis.grid(**GRID)
             label, scale = LABELS[CHANNELS.index(name)]
             if number == 0:
                 axis.set_ylabel(label, fontsize=8)

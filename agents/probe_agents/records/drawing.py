@@ -26,12 +26,19 @@ PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#2
 BLUE, RED, GREY = "#1f5fa8", "#c0392b", "0.45"
 
 
-def save(figure: Figure, path: Path, dpi: int = 110) -> Path:
-    """Write a figure atomically and close it."""
+def picture(figure: Figure, dpi: int = 110, kind: str = "png", grid: bool = True) -> bytes:
+    """A figure as a file of a kind of picture, with grid lines in all axes; the figure is closed."""
+    for axis in figure.axes if grid else ():
+        axis.grid(**GRID)
     buffer = io.BytesIO()
-    figure.savefig(buffer, dpi=dpi, format=path.suffix.removeprefix("."))
-    write_atomically(path, buffer.getvalue())
+    figure.savefig(buffer, dpi=dpi, format=kind)
     plt.close(figure)
+    return buffer.getvalue()
+
+
+def save(figure: Figure, path: Path, dpi: int = 110, grid: bool = True) -> Path:
+    """Write a figure atomically and close it, see ``picture``."""
+    write_atomically(path, picture(figure, dpi, path.suffix.removeprefix("."), grid))
     return path
 
 

@@ -21,7 +21,7 @@ from tqdm import tqdm
 from probe_agents.evaluation.statistics import ratio_interval
 from probe_agents.evaluation.workers import HERE, Workers
 from probe_agents.records.atomic import write_atomically
-from probe_agents.records.drawing import GREY, GRID, save
+from probe_agents.records.drawing import GREY, save
 from probe_agents.records.manifest import CHECKOUT, write_manifest
 from probe_agents.records.store import Store, as_csv, stored_rows
 from probe_agents.records.tables import Columns, read_csv
@@ -478,7 +478,6 @@ def draw_smooth(table: pd.DataFrame, path: Path) -> None:
             for method, part in rows.groupby("method"):
                 _curve(axis, part.sort_values("time_step_s"), cost, top, str(method))
             axis.set(xscale="log", yscale="log")
-            axis.grid(**GRID)
         axes[0, column].set_title(cases()[name].title, fontsize=10)
         axes[0, column].set_xlabel("processor time for a simulated second [s]")
         axes[1, column].set_xlabel("sweeps over the chain for a simulated second")
@@ -521,7 +520,6 @@ def draw_chaos(constant: pd.DataFrame, inserted: pd.DataFrame, path: Path) -> No
                 style["label"] = str(name) if nodes == 4 else f"{name}, {nodes} nodes per pitch"
                 axis.errorbar(rows["cpu_s"], ratio, yerr=spread, **style)
             axis.set_xscale("log")
-            axis.grid(**GRID)
             if column == 0:
                 axis.set_ylabel(f"{label}\nover converged mesh")
         for method, rows in part[part["radial_rms_m:ratio"].isna()].groupby("method"):

@@ -21,7 +21,7 @@ from scipy.stats import mannwhitneyu
 
 from probe_agents.evaluation.workers import HERE, Workers
 from probe_agents.records.atomic import write_atomically
-from probe_agents.records.drawing import BLUE, GRID, MM, save
+from probe_agents.records.drawing import BLUE, MM, save
 from probe_agents.records.manifest import write_manifest
 from probe_agents.records.shipped import file_or_shipped
 from probe_agents.records.store import Store, stored_rows
@@ -391,6 +391,5 @@ def draw_growth(table: pd.DataFrame, path: Path) -> None:
     axis.fill_between(GROWTH, low, high, color=BLUE, alpha=0.2, label="range of the perturbed runs")
     axis.plot(GROWTH, [values.mean() for values in members], "o-", color=BLUE, label="mean")
     axis.set(xlabel="carrier length [m]", ylabel="radial rms at the sensor [mm]", yscale="log")
-    axis.grid(**GRID)
     axis.legend(frameon=False)
     save(figure, path)

@@ -11,7 +11,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 
-from probe_agents.evaluation.kpis import HIGH, KPIS, OVER_TUBES
+from probe_agents.evaluation.kpis import HIGH, KPIS, OVER_TUBES, heading
 from probe_agents.evaluation.statistics import (
     Interval,
     a90_95,
@@ -24,7 +24,7 @@ from probe_agents.evaluation.statistics import (
     short,
 )
 from probe_agents.records.atomic import write_atomically
-from probe_agents.records.drawing import BLUE, GREY, GRID, colours, escape_dollars, save
+from probe_agents.records.drawing import BLUE, GREY, colours, escape_dollars, save
 from probe_agents.records.manifest import write_manifest
 from probe_agents.studies.run import Setting
 from probe_agents.studies.spec import Changes, Study
@@ -175,8 +175,8 @@ def _text(value: Any) -> str:
 
 def _label_and_factor(metric: str) -> tuple[str, float]:
     """Name with unit, and factor of a value."""
-    name, factor, unit = (KPIS | OVER_TUBES).get(metric, (metric.replace("_", " "), 1.0, ""))
-    return f"{name} [{unit}]" if unit else name, factor
+    label = (KPIS | OVER_TUBES).get(metric, (metric.replace("_", " "), 1.0, ""))
+    return heading(label), label[1]
 
 
 def _cell(row: Mapping[Any, Any]) -> str:
@@ -213,7 +213,6 @@ def _forest(study: Study, table: pd.DataFrame, columns: Sequence[str], path: Pat
         axis.set_title(f"minus {escape_dollars(str(rows['baseline'].iloc[0]))}", fontsize="medium")
         names = [", ".join(filter(None, map(_text, row))) for row in rows[list(columns)].itertuples(index=False)]
         axis.set_yticks(range(len(rows)), map(escape_dollars, names), fontsize="small")
-        axis.grid(**GRID)
     axes[0, 0].set_ylim(len(panels[0]) - 0.5, -0.5)
     figure.supxlabel(
         f"difference of {_label_and_factor(study.compare.metrics[0])[0]}, 95 % intervals", fontsize="medium"
@@ -237,6 +236,5 @@ def _across(study: Study, table: pd.DataFrame, columns: Sequence[str], path: Pat
         label = escape_dollars(", ".join(map(_text, name)))
         axis.errorbar(x[0], y[0], xerr=next(errors), yerr=next(errors), fmt="o-", capsize=3, color=colour, label=label)
     axis.set(xlabel=_label_and_factor(study.figure[0])[0], ylabel=_label_and_factor(study.figure[1])[0])
-    axis.grid(**GRID)
     axis.legend(frameon=False)
     save(figure, path)

@@ -21,7 +21,7 @@ from scipy.stats import linregress
 from probe_agents.evaluation.statistics import Interval, mean_interval
 from probe_agents.evaluation.workers import HERE, Workers
 from probe_agents.policies.planner import ModelPredictivePolicy
-from probe_agents.records.drawing import GREY, GRID, PALETTE, save
+from probe_agents.records.drawing import GREY, PALETTE, save
 from probe_agents.records.manifest import write_manifest
 from probe_agents.records.store import Store
 from probe_agents.studies.builtin import print_frame
@@ -186,8 +186,6 @@ def draw(table: pd.DataFrame, path: Path) -> None:
         wait.axhline(HORIZON, color=GREY, linestyle="--", label="planner's horizon")
         doubling.set(title=f"air supply {air:g} m³/h")
         wait.set(xlabel="inserted length [m]", yscale="log")
-        for axis in (doubling, wait):
-            axis.grid(**GRID)
     axes[0, 0].set_ylim(0.0)
     axes[0, 0].set_ylabel("doubling time [ms]")
     axes[1, 0].set_ylabel("from 1e-9 m to a tenth\nof the saturation [s]")

@@ -169,7 +169,7 @@ def draw_map(table: pd.DataFrame, path: Path) -> None:
         marks.append(Patch(facecolor="white", edgecolor=GREY))
         labels.append("not run: below the least step")
     figure.legend(marks, labels, loc="outside lower center", ncols=len(marks), frameon=False)
-    save(figure, path, dpi=90)
+    save(figure, path, dpi=90, grid=False)
 
 
 def one_mass(spring: str, stiffness: float = STIFFNESS, gap: float = math.inf) -> tuple[Chain, int]:

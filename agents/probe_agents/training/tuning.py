@@ -23,7 +23,7 @@ from stable_baselines3 import PPO
 from tqdm import tqdm
 
 from probe_agents.records.atomic import write_atomically
-from probe_agents.records.drawing import BLUE, GRID, RED, save
+from probe_agents.records.drawing import BLUE, RED, save
 from probe_agents.records.manifest import origin as made_by
 from probe_agents.records.models import Stored
 from probe_agents.records.result_folder import ResultFolder
@@ -235,7 +235,6 @@ def _draw(table: pd.DataFrame, path: Path) -> None:
     best = table["reward"].where(table["state"] == "complete").cummax()
     axis.step(table["trial"], best, where="post", color=BLUE, linewidth=1.0, label="best so far")
     axis.set(xlabel="trial", ylabel="reward on the validation tubes")
-    axis.grid(**GRID)
     axis.legend(frameon=False, fontsize=8)
     save(figure, path)
 

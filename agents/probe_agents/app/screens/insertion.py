@@ -186,7 +186,7 @@ class InsertionScreen(RunScreen):
         text = f"<p class='big'><b>{escape(first.policy)}</b> is {escape('. It is '.join(first.verdict))}.</p>"
         if first.to_repeat:
             header, rows = first.repeat
-            cells = ((row.head, *(cell.text for cell in row.cells)) for row in rows)
+            cells = ((cell.text for cell in row) for row in rows)
             text += f"<p>Metres to repeat: {first.to_repeat}</p>" + (ui.table_html(header, cells) if rows else "")
         if done.bundle:
             hours = "; ".join(f"{name}: {value}" for name, value in first.hours.items())
