@@ -61,10 +61,8 @@ class Model(BaseModel):
             ValueError: not TOML, or not valid; names the file and all invalid fields.
         """
         data = read_toml(path)
-        try:
+        with errors_in(path):
             return cls.model_validate(tuples(data))
-        except (ValueError, OverflowError) as error:
-            raise FileError(path, explain(error)) from error
 
     __str__ = BaseModel.__repr__
 
@@ -130,6 +128,17 @@ def one_line_errors() -> Iterator[None]:
         yield
     except ValidationError as error:
         raise ValueError(explain(error)) from error
+
+
+@contextmanager
+def errors_in(path: str | Path, within: str = "") -> Iterator[None]:
+    """Context manager that raises errors of the content of a file as its FileError, see ``explain``."""
+    try:
+        yield
+    except FileError:
+        raise
+    except (ValueError, OverflowError) as error:
+        raise FileError(path, explain(error, within)) from error
 
 
 def _no_such_field(title: str, location: tuple[int | str, ...]) -> str:

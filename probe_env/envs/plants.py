@@ -9,6 +9,7 @@ import json
 import math
 import warnings
 from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Self
@@ -27,7 +28,7 @@ from probe_env.inspection.instrument import Instrument
 from probe_env.inspection.sensor import Sensor
 from probe_env.physics.closed_forms.route import Route, min_air, one_helix, required_root_tension, route_forces
 from probe_env.scene import Air, Contact, Probe, Scene, Tube
-from probe_env.settings import Model, Quantity, explain, is_number, quantity, range_of, tuples, within
+from probe_env.settings import Model, Quantity, errors_in, explain, is_number, quantity, range_of, tuples, within
 
 
 class Between(Model):
@@ -265,10 +266,8 @@ class Posterior(Model):
                 " use results computed from it",
                 stacklevel=5,
             )
-        try:
+        with errors_in(path, "draws"):
             return cls.model_validate(tuples(draws) | {"misspecified": misspecified})
-        except ValidationError as error:
-            raise FileError(path, explain(error, "draws")) from error
 
     def rows(self, fractions: FloatArray) -> dict[str, FloatArray]:
         """Joint draws (n,) at ``fractions`` (n,) in (0, 1) of their order by the first quantity."""
@@ -288,12 +287,8 @@ def check_draws(posterior: Posterior | None, file: Path | None = None) -> None:
     for name, draws in posterior.draws.items() if posterior else ():
         low, high = ranges.get(name, (0.0, 1.0))
         for value in (draws.min(), draws.max()):
-            try:
+            with errors_in(file) if file else nullcontext():
                 within(f"draws.{name}" if file else f"posterior.draws.{name}", float(value), low, high, "")
-            except ValueError as error:
-                if file:
-                    raise FileError(file, str(error)) from None
-                raise
 
 
 def with_posterior(plant: Mapping[str, Any], folder: Path | None = None) -> dict[str, Any]:
@@ -346,10 +341,8 @@ class Plant(Model):
             raise FileError(path, f"posterior: no such file: {error.filename}") from error
         except FileError as error:
             raise FileError(path, f"posterior: {error}") from error
-        try:
+        with errors_in(path):
             return cls.model_validate(tables)
-        except (ValueError, OverflowError) as error:
-            raise FileError(path, explain(error)) from error
 
     @model_validator(mode="before")
     @classmethod

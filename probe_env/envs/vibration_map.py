@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from pydantic import ValidationError
 
 from probe_env.arrays import FloatArray
 from probe_env.envs.contexts import DRAG_FACTOR, FRICTION, HELIX_DIAMETERS, STIFFNESS
@@ -25,7 +24,7 @@ from probe_env.files import FileError, read_arrays
 from probe_env.physics.closed_forms import drag_per_metre
 from probe_env.physics.model.chain import air_speed
 from probe_env.scene import Scene
-from probe_env.settings import explain
+from probe_env.settings import errors_in
 
 FEEDS: Final = (0.04, 0.4)  # [m/s]; slower feeds take most of the time and vibrate least
 CONTEXT: Final = ("friction", "contact_stiffness", "drag_factor", "helix_diameter")
@@ -117,10 +116,8 @@ class VibrationMap:
         for name, shape in SHAPES.items():
             if name not in arrays or arrays[name].shape != shape:
                 raise FileError(path, f"{name}: not a map of vibration: missing, or of another shape than {shape}")
-        try:
+        with errors_in(path, "scene"):
             scene = Scene.model_validate_json(str(arrays["scene"]))
-        except ValidationError as error:
-            raise FileError(path, f"scene: {explain(error)}") from error
         measure = str(arrays.get("measure", "displacement"))
         if measure not in PROFILED:
             raise FileError(path, f"measure = {measure!r} is not one of {', '.join(PROFILED)}")

@@ -16,8 +16,8 @@ from probe_agents.records.atomic import write_atomically
 from probe_agents.records.shipped import policy_file
 from probe_agents.terminal.names import checked_name, name_of
 from probe_env.envs.vibration_map import stored_map
-from probe_env.files import FileError
 from probe_env.schedule import Interpolation, Schedule
+from probe_env.settings import errors_in
 
 
 @dataclass(frozen=True)
@@ -49,10 +49,8 @@ class Session:
 
     def open_schedule(self, path: Path, schedule: Schedule) -> None:
         """Take the points of the schedule of a file."""
-        try:
+        with errors_in(path):
             self.points, self.interpolation = points_of(schedule), schedule.interpolation
-        except ValueError as error:
-            raise FileError(path, str(error)) from error
         self.name = name_of(path)
 
     def store_upload(self, filename: str, content: str) -> Path:

@@ -131,15 +131,11 @@ class Compare:
 def _design(path: Path, probe: Probe) -> Design:
     """The design of a file; missing fields are those of the plant's probe. It must be buildable as it is."""
     from probe_env import Design
-    from probe_env.files import FileError
+    from probe_env.settings import errors_in
 
-    try:
+    with errors_in(path):
         design = Design.from_toml(path).completed(probe)
         design.check_whole_pitches()
-    except FileError:
-        raise
-    except ValueError as error:
-        raise FileError(path, str(error)) from error
     return design
 
 
@@ -241,17 +237,13 @@ class Study:
         from probe_agents.studies.compare import baselines, write_comparison
         from probe_agents.studies.run import expand, run_study
         from probe_agents.studies.spec import Study as Spec
-        from probe_env.files import FileError
+        from probe_env.settings import errors_in
 
         if self.trials is not None:
             raise ValueError(f"trials = {self.trials!r}: this study has no such option")
         spec = Spec.from_toml(path).changed(self.limit, self.policies, self.fidelity, self.tube)
-        try:
+        with errors_in(path):
             settings = expand(spec)
             baselines(spec, settings)
-        except FileError:
-            raise
-        except ValueError as error:
-            raise FileError(path, str(error)) from error
         write_comparison(spec, settings, run_study(settings, output, self.workers), output)
         print_line(f"written: {output}/ (episodes.csv, comparison.csv, comparison.png)")

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 import safetensors.numpy
 import torch
-from pydantic import Field, FiniteFloat, ValidationError, model_validator
+from pydantic import Field, FiniteFloat, model_validator
 from sb3_contrib import TQC, RecurrentPPO
 from stable_baselines3 import PPO, SAC, TD3
 from stable_baselines3.common.base_class import BaseAlgorithm
@@ -30,7 +30,7 @@ from probe_env.envs.task import TaskConfig, action_in
 from probe_env.envs.task.scales import PROBE
 from probe_env.envs.vibration_map import stored_map
 from probe_env.files import FileError
-from probe_env.settings import Model, explain, quantity
+from probe_env.settings import Model, errors_in, quantity
 
 Floats = npt.NDArray[np.floating[Any]]
 Algorithm = Literal["ppo", "sac", "recurrent-ppo", "td3", "tqc"]
@@ -252,16 +252,12 @@ def load_bundle(path: str | Path, config: TaskConfig | None = None) -> Agent:
     """
     path = Path(path)
     text, digest, weights = read_weights(path)
-    try:
+    with errors_in(path, "description"):
         description = Description.model_validate_json(text)
-    except ValidationError as error:
-        raise FileError(path, f"description: {explain(error)}") from error
     if _hash(text, weights) != digest:
         raise FileError(path, f"changed or cut off since it was written: its hash does not match - {RESTORE}")
-    try:
+    with errors_in(path):
         description.view.columns(config or description.task)  # before the weights: their number depends on it
-    except ValueError as error:
-        raise FileError(path, str(error)) from error
     policy = build_policy(description, initialised=False)
     network = {name: value.numpy() for name, value in policy.state_dict().items()}
     for name in sorted(network.keys() | weights.keys()):
@@ -273,10 +269,8 @@ def load_bundle(path: str | Path, config: TaskConfig | None = None) -> Agent:
         if not np.abs(weights[name]).max(initial=0.0) <= LARGEST_WEIGHT:
             raise FileError(path, f"weights: {name!r} holds values that are not finite or beyond {LARGEST_WEIGHT:g}")
     policy.load_state_dict({name: torch.as_tensor(value) for name, value in weights.items()})
-    try:
+    with errors_in(path):
         return Agent(description, policy, config or description.task, digest)
-    except ValueError as error:
-        raise FileError(path, str(error)) from error
 
 
 def build_policy(description: Description, initialised: bool = True) -> BasePolicy:
