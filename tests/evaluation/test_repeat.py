@@ -13,7 +13,6 @@ from probe_agents.evaluation.profiles import downloads
 from probe_agents.evaluation.repeat import (
     CASE,
     INTERVAL,
-    fraction_to_repeat,
     instrument_kpis,
     intervals_to_repeat,
     is_judged,
@@ -142,18 +141,16 @@ def test_an_overview_has_few_rows():
     far = [(10.0 * k + 1.0, 10.0 * k + 2.0, "noise" if k % 2 else "speed") for k in range(10)]
     for lists, end, expected in (
         ((two, []), 60.0, [[6.0, 10.0, "noise", 0.5], [10.0, 12.0, "speed", 0.5]]),
+        ((two[:1], [(9.0, 11.0, "speed")], []), 60.0, [
+            [6.0, 9.0, "noise", 1 / 3], [9.0, 10.0, "speed and noise", 2 / 3], [10.0, 11.0, "speed", 1 / 3],
+        ]),
         (([],), 60.0, []),
         ((near,), 60.0, [[5.0, 10.0, "noise", 1.0]]),
         ((far,), 97.0, [[0.0, 97.0, "speed and noise", 1.0]]),
-    ):
+    ):  # fmt: skip
         overview = repeat_overview([pd.DataFrame(rows, columns=INTERVAL) for rows in lists], end)
         assert list(overview) == [*INTERVAL, "share"]
         assert overview.to_numpy().tolist() == expected
-
-
-def test_shares_of_the_insertions():
-    lists = [pd.DataFrame(rows, columns=INTERVAL) for rows in ([(6.0, 10.0, "noise")], [(9.0, 11.0, "speed")], [])]
-    assert fraction_to_repeat(lists, np.array([0.0, 5.0, 10.0, 15.0])) == pytest.approx([0.0, 2.0 / 3.0, 1.0 / 3.0])
 
 
 def driven(schedule, config, begin, end, start):

@@ -9,8 +9,8 @@ from pydantic import FiniteFloat, model_validator
 from tqdm import tqdm
 
 from probe_agents.design.trials import DesignTrials
-from probe_agents.evaluation.kpis import CORE, CORE_FAILURES, OF_DESIGNS, heading, kpis_of
-from probe_agents.evaluation.statistics import Interval, failure_text, failures, mean_interval, short
+from probe_agents.evaluation.kpis import CORE, CORE_FAILURES, OF_DESIGNS, heading, kpis_of, label_of
+from probe_agents.evaluation.statistics import Interval, mean_interval, short
 from probe_agents.policies.cases import TABLE_2
 from probe_agents.policies.catalogue import domains_of, name_and_spec
 from probe_agents.policies.policy import check_domains
@@ -22,6 +22,7 @@ from probe_agents.records.tables import Columns, read_csv
 from probe_agents.terminal.tables import print_table
 from probe_agents.terminal.work import Work, announce
 from probe_env import Design
+from probe_env.envs.task import FAILURES
 from probe_env.envs.trials import check_candidate
 from probe_env.settings import explain
 
@@ -147,4 +148,5 @@ def print_comparison(table: pd.DataFrame) -> None:
     means = f"Means over {number} tubes{where} with 95 % intervals" if number > 1 else f"One tube{where}"
     print_table(f"{means}; change against the first", header(summary), cells(summary))
     for name, part in table.groupby("design", sort=False):
-        print(f"{name}: {', '.join(failure_text(failures(part)))}")
+        counts = part.reindex(columns=list(FAILURES), fill_value=0.0).sum().astype(int)
+        print(f"{name}: {', '.join(f'{counts[reason]} {label_of(reason)}' for reason in FAILURES)}")

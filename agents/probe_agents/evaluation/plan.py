@@ -17,6 +17,7 @@ import numpy.typing as npt
 import pandas as pd
 from tqdm import tqdm
 
+from probe_agents.evaluation import repeat
 from probe_agents.evaluation.folder import (
     FILES,
     UNFINISHED,
@@ -28,14 +29,6 @@ from probe_agents.evaluation.folder import (
 from probe_agents.evaluation.folder import EpisodeId as EpisodeId
 from probe_agents.evaluation.kpis import PROFILE_COLUMNS, PROFILE_COLUMNS_INSTRUMENT
 from probe_agents.evaluation.profiles import file_name
-from probe_agents.evaluation.repeat import (
-    cases_of,
-    instrument_kpis,
-    is_judged,
-    repeat_schedule,
-    repeat_table,
-    segments_of,
-)
 from probe_agents.evaluation.workers import HERE, Workers
 from probe_agents.policies.planner import ModelPredictivePolicy
 from probe_agents.policies.policy import Policy as Policy
@@ -201,14 +194,16 @@ def _write_tables(
 
 def _write_repeat(plan: Plan, table: pd.DataFrame, profile: pd.DataFrame, output: Path) -> list[str]:
     """Write the metres to repeat, and a schedule of them for each policy; returns the names of the files."""
-    if not is_judged(plan.config):
+    if not repeat.is_judged(plan.config):
         return []
-    cases = cases_of(table, profile, plan.config)
-    contents = {"repeat.csv": repeat_table(cases).to_csv(index=False, float_format="%.6g")}
+    cases = repeat.cases_of(table, profile, plan.config)
+    contents = {"repeat.csv": repeat.repeat_table(cases).to_csv(index=False, float_format="%.6g")}
     for policy in plan.policies:
         own = [(*part, plan.contexts[int(key[1])]) for key, part in cases.items() if key[0] == policy]
         if any(len(intervals) for _, intervals, _ in own):
-            schedule = repeat_schedule(own, plan.config, plan.vibration or stored_map(), plan.fidelity.time_lapse)
+            schedule = repeat.repeat_schedule(
+                own, plan.config, plan.vibration or stored_map(), plan.fidelity.time_lapse
+            )
             contents[f"repeat-{file_name(policy)}.csv"] = schedule.to_csv()
     for name, text in contents.items():
         write_atomically(output / name, text)
@@ -369,10 +364,12 @@ class RolloutRunner:
             if "episode_kpis" in info:
                 episode, metres = self.episode_id(k), per_metre(self.profile[k])
                 kpis = with_pod_columns(info["episode_kpis"])
-                if is_judged(self.plan.config):
+                if repeat.is_judged(self.plan.config):
                     metres |= instrument_columns(self.profile[k], self.axial[k], self.plan.config)
-                    segments = segments_of(metres, self.plan.config, kpis["complete"] > 0.0, kpis["lost_drive"] > 0.0)
-                    kpis |= instrument_kpis(segments, self.plan.config)
+                    segments = repeat.segments_of(
+                        metres, self.plan.config, kpis["complete"] > 0.0, kpis["lost_drive"] > 0.0
+                    )
+                    kpis |= repeat.instrument_kpis(segments, self.plan.config)
                 profile = {name: [float(f"{v:.5g}") for v in values] for name, values in metres.items()}
                 record = {"key": self.plan.key(episode), "episode": episode, "commit": commit(), "kpis": kpis}
                 probe = {"probe": self._probes[k]} if k in self._probes else {}

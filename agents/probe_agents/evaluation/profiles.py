@@ -29,11 +29,7 @@ def traces(
 ) -> dict[str, Any]:
     """Feed, air and vibration of every policy in every tube over the inserted length, JSON-ready; the first seed.
 
-    Args:
-        table: episodes.
-        profile: a row for each metre of these episodes.
-        visible: policies whose traces are visible when the page opens.
-        limit_mm: limit of the radial rms [mm]; None: the limit is of another measure.
+    The ``visible`` policies are drawn when the page opens. The limit of the radial rms is None for another measure.
     """
     colours = policy_colours(table["policy"])
     first = profile[["policy", "context", "seed", "training_seed"]].drop_duplicates()
@@ -87,12 +83,7 @@ class Download(NamedTuple):
 
 
 def downloads(table: pd.DataFrame, profile: pd.DataFrame) -> list[Download]:
-    """Feed and air of each policy, as driven in the tube with its median reward, as files for ``probe-env evaluate``.
-
-    Args:
-        table: episodes.
-        profile: a row for each metre of these episodes.
-    """
+    """Feed and air of each policy, as driven in the tube with its median reward, as files for ``evaluate``."""
     case, offered = ["policy", "context", "seed", "training_seed"], []
     for policy in ranking(table):
         part = table[table["policy"] == policy].sort_values("reward", kind="stable")
@@ -115,11 +106,7 @@ def short_schedule(described: Description, profile: pd.DataFrame) -> tuple[str, 
     """At most ``MAX_ROWS`` rows of feed and air over length [m, m/s, m3/s], and a note on them.
 
     The first and the last row, then one by one the row that deviates most from linear interpolation; of a schedule over
-    length its own rows, of other policies the mean over the insertions in each metre.
-
-    Args:
-        described: description of the policy.
-        profile: a row for each metre of its episodes.
+    length its own rows, of other policies the mean over the insertions in each metre of ``profile``.
     """
     points = inner_policy(described).get("schedule", {})
     if points.get("over") == POINT[0]:

@@ -1,5 +1,6 @@
 """Verdict on the speed of an inspection, and the metres to repeat: from metres of an evaluation or rows of a log."""
 
+import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -74,16 +75,10 @@ class Segments:
 def segments_of(
     metres: Mapping[str, FloatArray], config: TaskConfig, complete: bool = True, lost_drive: bool = False
 ) -> Segments:
-    """Segments of an episode from its profile (columns (m,)) up to the end of the helix.
+    """Segments of an episode from its profile (columns (m,), see ``plan.per_metre``) up to the end of the helix.
 
     A metre without a row was passed within the period of the next one. Beyond the last row no metre was reached, and
-    that of the last row not to its end if the episode is not complete.
-
-    Args:
-        metres: profile of the episode, see ``plan.per_metre``.
-        config: task.
-        complete: whether the episode reached the end of the helix.
-        lost_drive: whether it ended because the drive was lost, which counts for its last metre.
+    that of the last row not to its end if the episode is not complete. Drive that was lost counts for the last metre.
     """
     rows, helix = np.flatnonzero(np.isfinite(metres["inserted_length"])), config.scene.tube.helix_length
     ends = np.minimum(np.asarray(metres["inserted_length"], dtype=float)[rows] + 0.5, helix)
@@ -192,13 +187,7 @@ def instrument_kpis(segments: Segments, config: TaskConfig) -> dict[str, float]:
 
 
 def cases_of(table: pd.DataFrame, profile: pd.DataFrame, config: TaskConfig) -> dict[Key, RepeatCase]:
-    """Segments and intervals of every episode.
-
-    Args:
-        table: episodes.
-        profile: a row for each metre of these episodes.
-        config: task.
-    """
+    """Segments and intervals of every episode of a table; ``profile`` has a row for each metre of these episodes."""
     case = [name for name in (*CASE, "training_seed") if name in table]
     profiles = dict(list(profile.groupby(case)))
     cases = {}
@@ -312,43 +301,26 @@ def _where(verdict: Verdict, intervals: Sequence[tuple[float, float]]) -> str:
     return f"{'in some tube ' if verdict.insertions > 1 else ''}at {where} m{more}"
 
 
-def fraction_to_repeat(intervals: Sequence[pd.DataFrame], edges: FloatArray) -> FloatArray:
-    """(n,) share of insertions in which some of a bin is to be repeated.
-
-    Args:
-        intervals: of each insertion.
-        edges: (n + 1,) of the bins [m].
-    """
-    begin, end = edges[:-1, None], edges[1:, None]
-    hit = [((part["from_m"].to_numpy() < end) & (part["to_m"].to_numpy() > begin)).any(axis=1) for part in intervals]
-    return np.asarray(np.mean(hit, axis=0))
-
-
 def repeat_overview(intervals: Sequence[pd.DataFrame], length: float) -> pd.DataFrame:
     """What is to be repeated in some insertion, in at most ``MAX_ROWS`` rows with columns ``INTERVAL`` and "share".
 
-    The intervals of all insertions if they fit, else bins of ``BIN`` or a multiple of it; neighbours with the same
-    reasons and share of the insertions are joined.
-
-    Args:
-        intervals: of each insertion.
-        length: of the helix [m].
+    The intervals of all insertions if they fit, else bins of ``BIN`` or a multiple of it up to the length of the helix
+    [m]; neighbours with the same reasons and share of the insertions are joined.
     """
-    parts, width = pd.concat(list(intervals)), BIN
-    rows = _overview_rows(intervals, np.unique(parts[INTERVAL[:2]].to_numpy(dtype=float)))
+    parts, width = pd.concat(list(intervals), keys=range(len(intervals))), BIN
+    rows = _overview_rows(parts, len(intervals), np.unique(parts[INTERVAL[:2]].to_numpy(dtype=float)))
     while len(rows) > MAX_ROWS:
-        rows = _overview_rows(intervals, np.append(np.arange(0.0, length - 1e-9, width), length))
+        rows = _overview_rows(parts, len(intervals), np.append(np.arange(0.0, length - 1e-9, width), length))
         width *= 2.0
     return pd.DataFrame(rows, columns=[*INTERVAL, "share"])
 
 
-def _overview_rows(intervals: Sequence[pd.DataFrame], edges: FloatArray) -> list[tuple[float, float, str, float]]:
-    parts = pd.concat(list(intervals))
+def _overview_rows(parts: pd.DataFrame, insertions: int, edges: FloatArray) -> list[tuple[float, float, str, float]]:
     rows: list[tuple[float, float, str, float]] = []
-    fractions = fraction_to_repeat(intervals, edges).tolist() if len(edges) else []
-    for begin, end, fraction in zip(edges[:-1].tolist(), edges[1:].tolist(), fractions, strict=True):
-        reasons = parts.loc[(parts["from_m"] < end) & (parts["to_m"] > begin), "reason"]
-        reason = AND.join(name for name in REASONS if reasons.str.contains(name).any())
+    for begin, end in itertools.pairwise(edges.tolist()):
+        inside = parts[(parts["from_m"] < end) & (parts["to_m"] > begin)]
+        reason = AND.join(name for name in REASONS if inside["reason"].str.contains(name).any())
+        fraction = inside.index.get_level_values(0).nunique() / insertions
         if rows and rows[-1][1:] == (begin, reason, fraction):
             rows[-1] = rows[-1][0], end, reason, fraction
         elif fraction > 0.0:
@@ -398,11 +370,7 @@ def repeat_schedule(
     the ramp and within one control period. The air is the mean of the tubes', and the most from the first metre with
     lost drive on.
 
-    Args:
-        cases: segments, intervals and tube of each insertion.
-        config: task.
-        vibration: vibration map.
-        time_lapse: of the simulation in which the schedule is played.
+    ``cases`` are segments, intervals and tube of each insertion; the schedule is played with ``time_lapse``.
     """
     (slowest, fastest), step = config.feed_speeds, config.feed_speed_step
     first, end = min(part[0].begin[0] for part in cases), max(part[0].end[-1] for part in cases)

@@ -7,25 +7,14 @@ from typing import Literal
 
 import pandas as pd
 
+from probe_agents.evaluation import statistics
 from probe_agents.evaluation.folder import EPISODE_RECORDS, ReportSettings, is_evaluation, read_evaluation
 from probe_agents.evaluation.kpis import SCORED_PASSES, displayed_kpis, heading
 from probe_agents.evaluation.plan import Plan, run_plan
 from probe_agents.evaluation.repeat import verdict_text
 from probe_agents.evaluation.report import ended, verdicts
 from probe_agents.evaluation.report import write_report as write_report
-from probe_agents.evaluation.statistics import (
-    BUNDLE_HEADER,
-    Interval,
-    bundle_rows,
-    bundle_table,
-    comparison_lines,
-    endings,
-    grouped,
-    method_and_seed,
-    short,
-    strain_lines,
-    summarise,
-)
+from probe_agents.evaluation.statistics import Interval, grouped, method_and_seed, short
 from probe_agents.evaluation.workers import HERE, Workers
 from probe_agents.policies.cases import EvaluationCase, read_case
 from probe_agents.policies.catalogue import domains_of, is_schedule_file, name_and_spec, named_policies, user_policies
@@ -142,7 +131,7 @@ def evaluate_plan(
     print_summary(grouped(table), report.against)
     for policy, (verdict, _) in verdicts(read_evaluation(output)).items():
         print(f"{policy}: {verdict_text(verdict)}")
-    print_bundle(bundle_table(grouped(table), plan.bundle))
+    print_bundle(statistics.bundle_table(grouped(table), plan.bundle))
     files = "report.html, episodes.csv, episodes.parquet, profile.parquet, summary.csv"
     print_line(f"written: {output}/ ({files}{', bundle.csv' if plan.bundle else ''})")
     return table
@@ -175,7 +164,7 @@ def report_again(folder: Path, against: str | None = None) -> Path:
 def print_summary(table: pd.DataFrame, against: str) -> None:
     """Print KPIs with intervals, how episodes ended and differences to a policy."""
     labels, rows = displayed_kpis(table.columns), []
-    for policy, part in summarise(table).groupby("policy", sort=False):
+    for policy, part in statistics.summarise(table).groupby("policy", sort=False):
         figures, cells = part.set_index("kpi"), [str(policy)]
         for kpi, (_, factor, _) in labels.items():
             mean, low, high = figures.loc[[kpi], ["mean", "low", "high"]].to_numpy(dtype=float)[0].tolist()
@@ -184,9 +173,9 @@ def print_summary(table: pd.DataFrame, against: str) -> None:
     header = ("policy", *map(heading, labels.values()))
     title = "Means with 95 % intervals over the contexts" if table["context"].nunique() > 1 else "Means in one tube"
     print_table(title, header, rows)
-    for name, row in endings(table).iterrows():
+    for name, row in statistics.endings(table).iterrows():
         print(f"{name}: {ended(row)}")
-    for line in (*strain_lines(table), *comparison_lines(table, against)):
+    for line in (*statistics.strain_lines(table), *statistics.comparison_lines(table, against)):
         print(line)
 
 
@@ -194,4 +183,4 @@ def print_bundle(hours: pd.DataFrame) -> None:
     """Print a ``bundle_table``; nothing if it is empty."""
     if len(hours):
         title = f"Hours for {hours['tubes'].iloc[0]} tubes with 95 % intervals"
-        print_table(title, BUNDLE_HEADER, bundle_rows(hours))
+        print_table(title, statistics.BUNDLE_HEADER, statistics.bundle_rows(hours))

@@ -10,10 +10,10 @@ import numpy as np
 import pandas as pd
 from scipy.stats import DegenerateDataWarning, beta, bootstrap, trim_mean
 
-from probe_agents.evaluation.kpis import HIGH, OVER_TUBES, kpis_of, label_of
+from probe_agents.evaluation.kpis import HIGH, OVER_TUBES, kpis_of
 from probe_env.arrays import BoolArray, FloatArray
 from probe_env.envs.plants import Bundle
-from probe_env.envs.task import ENDINGS, FAILURES
+from probe_env.envs.task import ENDINGS
 from probe_env.inspection.detection import DEPTHS, depths_found
 from probe_env.inspection.metrics import POD_NAMES
 
@@ -171,14 +171,7 @@ def paired_difference(table: pd.DataFrame, first: str, second: str, kpi: str) ->
 
 
 def fraction_of_lead(table: pd.DataFrame, policy: str, best: str = BEST, bar: str = BAR) -> Interval:
-    """Reward of a policy on the scale from ``bar`` (0) to ``best`` (1), with its interval over contexts.
-
-    Args:
-        table: episodes, all policies on the same contexts.
-        policy: the policy.
-        best: policy with the share 1.
-        bar: policy with the share 0.
-    """
+    """Reward of a policy on the scale from ``bar`` (0) to ``best`` (1), with its interval over their contexts."""
     columns = [by_context(table, name, "reward") for name in (policy, best, bar)]
     if not len(columns[0]) or any(not column.index.equals(columns[0].index) for column in columns):
         raise ValueError(f"{policy}, {best} and {bar} cannot be paired: they were not run on the same contexts")
@@ -254,9 +247,8 @@ def bundle_hours(times: FloatArray, second_pass: BoolArray, tubes: int) -> tuple
 def bundle_table(table: pd.DataFrame, bundle: Bundle | None) -> pd.DataFrame:
     """``bundle_hours`` of every policy, a row each, columns ``BUNDLE_COLUMNS``; no rows without a bundle.
 
-    Args:
-        table: episodes; a tube needs a second pass if one of its episodes does.
-        bundle: with its withdrawal as a time, see ``Plant.bundle_for``.
+    A tube needs a second pass if one of its episodes does. The bundle has its withdrawal as a time, see
+    ``Plant.bundle_for``.
     """
     rows: list[tuple[object, ...]] = []
     if bundle is None:
@@ -284,16 +276,6 @@ def endings(table: pd.DataFrame) -> pd.DataFrame:
     ended = table.reindex(columns=["policy", *ENDINGS], fill_value=0.0)
     counts = ended.groupby("policy", sort=False).sum().astype(int)
     return counts.assign(episodes=table.groupby("policy").size())
-
-
-def failures(table: pd.DataFrame) -> pd.Series:
-    """Number of episodes that ended with each of ``FAILURES``."""
-    return table.reindex(columns=list(FAILURES), fill_value=0.0).sum().astype(int)
-
-
-def failure_text(counts: Mapping[str, int] | pd.Series) -> list[str]:
-    """Counts of ``FAILURES`` with their labels."""
-    return [f"{counts[name]} {label_of(name)}" for name in FAILURES]
 
 
 def comparison_lines(table: pd.DataFrame, reference: str) -> list[str]:
@@ -364,9 +346,7 @@ def depths_of(table: pd.DataFrame) -> pd.DataFrame:
 def difference_of_a90(first: FloatArray, second: FloatArray) -> Interval:
     """Paired difference in a90 [% of the wall], first minus second; the ends are NaN for one tube.
 
-    Args:
-        first: (tubes, d) curves at ``DEPTHS``, see ``curves_by_tube``.
-        second: (tubes, d) curves of the other policy in the same tubes.
+    Both are (tubes, d) curves at ``DEPTHS`` in the same tubes, see ``curves_by_tube``.
     """
     mean, resampled = (
         100.0 * (depths_found(of(first), 0.9) - depths_found(of(second), 0.9)) for of in (_mean, bootstrap_means)

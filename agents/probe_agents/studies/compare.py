@@ -11,18 +11,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 
+from probe_agents.evaluation import statistics
 from probe_agents.evaluation.kpis import HIGH, KPIS, OVER_TUBES, heading
-from probe_agents.evaluation.statistics import (
-    Interval,
-    a90_95,
-    by_context,
-    curves_by_tube,
-    difference_of_a90,
-    fraction_of_lead,
-    mean_interval,
-    paired_difference,
-    short,
-)
+from probe_agents.evaluation.statistics import Interval, by_context, curves_by_tube, mean_interval, short
 from probe_agents.records.atomic import write_atomically
 from probe_agents.records.drawing import BLUE, GREY, colours, escape_dollars, save
 from probe_agents.records.manifest import write_manifest
@@ -61,21 +52,22 @@ def compare(study: Study, settings: Sequence[Setting], episodes: pd.DataFrame) -
         over_tubes = metric in OVER_TUBES
         mean = mean_interval(by_context(labelled, name, metric).to_numpy()) if not over_tubes else None
         row = dict(zip(columns, key, strict=True)) | {"tubes": groups[key]["context"].nunique(), "metric": metric}
-        depth = a90_95(labelled, name) if over_tubes and has_pod[name] else np.nan
+        depth = statistics.a90_95(labelled, name) if over_tubes and has_pod[name] else np.nan
         row |= asdict(mean) if mean else {"mean": depth, "low": np.nan, "high": np.nan}
         for baseline in chosen:
             other = names[_replaced(columns, key, baseline, groups)]
             if over_tubes and not (has_pod[name] and has_pod[other]):
                 change = Interval(*(math.nan,) * 3)
             elif over_tubes:
-                change = difference_of_a90(curves_by_tube(labelled, name), curves_by_tube(labelled, other))
+                change = statistics.difference_of_a90(*(curves_by_tube(labelled, one) for one in (name, other)))
             else:
-                change = paired_difference(labelled, name, other, metric)
+                change = statistics.paired_difference(labelled, name, other, metric)
             label = "the first setting" if first_setting else ", ".join(f"{c} = {v}" for c, v in baseline.items())
             changes = {"rank": None, "baseline": label, "difference": change.mean}
             changes |= {"difference_low": change.low, "difference_high": change.high}
             if upper and metric == "reward":
-                fraction = fraction_of_lead(labelled, name, names[_replaced(columns, key, upper, groups)], other)
+                best = names[_replaced(columns, key, upper, groups)]
+                fraction = statistics.fraction_of_lead(labelled, name, best, other)
                 changes |= {"share_of_lead": fraction.mean, "share_low": fraction.low, "share_high": fraction.high}
             rows.append(row | changes)
     table = pd.DataFrame(rows)

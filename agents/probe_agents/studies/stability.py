@@ -34,16 +34,7 @@ from probe_agents.studies.chart import STIFFNESSES
 from probe_agents.terminal.tables import print_line
 from probe_env import Scene, SimulationError, Simulator, StabilityWarning
 from probe_env.arrays import FloatArray
-from probe_env.physics.closed_forms.bare_chains import (
-    AXIAL,
-    RADIAL,
-    DrivenChain,
-    bent_chain,
-    linear_matrix,
-    masses,
-    run_chain,
-    uniform_chain,
-)
+from probe_env.physics.closed_forms import bare_chains
 from probe_env.physics.methods import METHODS, ON_NODES
 from probe_env.physics.methods.newmark import Newmark
 from probe_env.physics.model.chain import Chain
@@ -177,16 +168,16 @@ def one_mass(spring: str, stiffness: float = STIFFNESS, gap: float = math.inf) -
     free = dict.fromkeys(("axial_compliance", "shear_compliance", "bending_compliance"), 1e9)
     if spring == "elastic":
         free["axial_compliance"] = 1.0 / stiffness
-        return uniform_chain(1, damping_time=0.0, coupling_compliance=0.0, **free), AXIAL
+        return bare_chains.uniform_chain(1, damping_time=0.0, coupling_compliance=0.0, **free), bare_chains.AXIAL
     walls = {"contact_stiffness": np.array([stiffness, 0.0]), "outer_gap": np.array([gap, np.inf])}
-    return uniform_chain(1, damping_time=0.0, coupling_compliance=0.0, **free, **walls), RADIAL
+    return bare_chains.uniform_chain(1, damping_time=0.0, coupling_compliance=0.0, **free, **walls), bare_chains.RADIAL
 
 
 def _step(method: str, chain: Chain, time_step: float, start: FloatArray, component: int) -> FloatArray:
     """Displacement, velocity and acceleration of the mass after a step; NaN if it diverged."""
     state = at_rest(2)
     state.d[0, component], state.v[0, component], state.memory[0, component] = start
-    if not run_chain(method, DrivenChain(chain), time_step, state, 1, 1).stable:
+    if not bare_chains.run_chain(method, bare_chains.DrivenChain(chain), time_step, state, 1, 1).stable:
         return np.full(3, np.nan)
     return np.array([state.d[0, component], state.v[0, component], state.memory[0, component]])
 
@@ -227,7 +218,7 @@ def bounce(method: str, omega_dt: float) -> tuple[float, float]:
     steps = math.ceil(BOUNCES * period / time_step)
     state = at_rest(2)
     state.d[0, component], state.v[0, component] = 0.4321 * GAP, -SPEED
-    run = run_chain(method, DrivenChain(chain), time_step, state, steps, 1)
+    run = bare_chains.run_chain(method, bare_chains.DrivenChain(chain), time_step, state, steps, 1)
     y = run.samples[:, component]
     if not run.stable:
         return float("nan"), float("nan")
@@ -265,12 +256,12 @@ def run_energy() -> pd.DataFrame:
     gaps, levers = np.full(ELEMENTS + 1, ROOM), np.full(ELEMENTS + 1, FLOAT_RADIUS)
     contact = {"contact_stiffness": np.where(floats, STIFFNESS, 0.0), "outer_gap": gaps, "lever": levers}
     for (method, steps), damping_time, walls in product(ENERGY_STEPS.items(), DAMPING, (False, True)):
-        chain = bent_chain(ELEMENTS, damping_time=damping_time)._replace(**(contact if walls else {}))  # type: ignore[arg-type]
+        chain = bare_chains.bent_chain(ELEMENTS, damping_time=damping_time)._replace(**(contact if walls else {}))  # type: ignore[arg-type]
         for time_step in steps:
             state = at_rest(ELEMENTS + 1)
             state.v[:-1] = np.random.default_rng(0).normal(size=(ELEMENTS, 3)) * (0.1, 0.1, 1.0)
             before = energy(chain, state)
-            held = run_chain(method, DrivenChain(chain), time_step, state, STEPS, STEPS).stable
+            held = bare_chains.run_chain(method, bare_chains.DrivenChain(chain), time_step, state, STEPS, STEPS).stable
             rows.append((method, time_step, damping_time, walls, energy(chain, state) / before if held else math.inf))
     return pd.DataFrame(rows, columns=["method", "time_step_s", "damping_time_s", "walls", "ratio"])
 
@@ -278,7 +269,7 @@ def run_energy() -> pd.DataFrame:
 def energy(chain: Chain, state: State) -> float:
     """Kinetic, elastic and contact energy [J]."""
     n = chain.node_count - 1
-    d, v, mass, y = state.d[:n].ravel(), state.v[:n].ravel(), masses(chain), state.d[:n, 1]
+    d, v, mass, y = state.d[:n].ravel(), state.v[:n].ravel(), bare_chains.masses(chain), state.d[:n, 1]
     depth = np.maximum(-y, 0.0) + np.maximum(y - chain.outer_gap[:n], 0.0)
     wall = (chain.contact_stiffness[:n] * depth**2).sum()
-    return float(0.5 * (mass @ v**2 + (mass * d) @ (linear_matrix(chain) @ d) + wall))
+    return float(0.5 * (mass @ v**2 + (mass * d) @ (bare_chains.linear_matrix(chain) @ d) + wall))
