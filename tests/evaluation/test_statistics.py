@@ -98,13 +98,13 @@ def test_pairing_sees_what_the_scatter_between_contexts_hides():
 
 
 def test_the_share_of_the_planners_lead():
-    rewards = {"planner": [10.0, 14.0], "best-schedule": [2.0, 4.0], "mine": [6.0, 9.0]}
+    rewards = {"planner": [10.0, 14.0], "best-schedule": [2.0, 4.0], "mine": [6.0, 9.5]}
     table = pd.DataFrame(
         dict.fromkeys((*CORE, "complete"), 1.0) | {"policy": name, "context": k, "seed": 0, "reward": value}
         for name, values in rewards.items() for k, value in enumerate(values)
     )  # fmt: skip
-    assert statistics.fraction_of_lead(table, "mine").mean == pytest.approx(4.5 / 9.0)
-    assert any("over best-schedule 50 [" in line for line in statistics.comparison_lines(table, "best-schedule"))
+    assert statistics.fraction_of_lead(table, "mine").mean == pytest.approx(9.5 / 18.0)
+    assert any("over best-schedule 52.8 [" in line for line in statistics.comparison_lines(table, "best-schedule"))
     assert statistics.fraction_of_lead(table[table["context"] == 0], "mine").text(100.0) == "50"
     with pytest.raises(ValueError, match="same contexts"):
         statistics.fraction_of_lead(table[(table["policy"] != "mine") | (table["context"] > 0)], "mine")

@@ -10,7 +10,7 @@ from tqdm import tqdm
 
 from probe_agents.design.trials import DesignTrials
 from probe_agents.evaluation.kpis import CORE, CORE_FAILURES, OF_DESIGNS, heading, kpis_of, label_of
-from probe_agents.evaluation.statistics import Interval, mean_interval, short
+from probe_agents.evaluation.statistics import Interval, mean_interval
 from probe_agents.policies.cases import TABLE_2
 from probe_agents.policies.catalogue import domains_of, name_and_spec
 from probe_agents.policies.policy import check_domains
@@ -121,12 +121,8 @@ def cells(summary: pd.DataFrame) -> list[list[str]]:
         part = summary[summary["design"] == name].set_index("kpi")
         means = {kpi: Interval(*part.loc[kpi, ["mean", "low", "high"]]) for kpi in kpis}
         change = Interval(*part.loc["reward", ["change", "change_low", "change_high"]])
-        rows.append([str(name), *(_text(mean, kpis[kpi][1]) for kpi, mean in means.items()), _text(change)])
+        rows.append([str(name), *(mean.text(kpis[kpi][1]) for kpi, mean in means.items()), change.text()])
     return rows
-
-
-def _text(interval: Interval, factor: float = 1.0) -> str:
-    return interval.text(factor) if interval.low < interval.high else short(interval.mean * factor)
 
 
 def header(summary: pd.DataFrame) -> list[str]:

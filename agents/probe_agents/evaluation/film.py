@@ -68,11 +68,7 @@ class _Episode:
 
 
 def render_episode(env_id: str, output: Path, policy: str, every: int, seed: int, **arguments: Any) -> dict[str, float]:
-    """Film an episode, one frame every ``every`` control periods.
-
-    Returns:
-        the episode's KPIs without the detection curve.
-    """
+    """Film an episode, one frame every ``every`` control periods; returns its KPIs without the detection curve."""
     check_format(output)
     if every < 1:
         raise ValueError(f"every = {every!r} is outside the accepted range 1 and more")

@@ -133,13 +133,7 @@ def read_episodes(path: Path) -> pd.DataFrame:
 def collect_tables(
     planned: Sequence[Planned], contexts: Sequence[Context], done: Mapping[str, dict[str, Any]]
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """KPIs with one row per episode, and profiles with one row per metre.
-
-    Args:
-        planned: the episodes, all finished.
-        contexts: the tubes.
-        done: records of episodes by key.
-    """
+    """KPIs with one row per episode, and profiles with one row per metre, of planned episodes, all ``done`` by key."""
     rows, profiles = [], []
     for key, name, k, seed in planned:
         record = done[key]
@@ -167,9 +161,7 @@ class Evaluation:
         profile: one row per metre of these episodes, grouped too.
         setting: common settings of all episodes.
         record: command, commit, machine, descriptions of the policies.
-        against: reference policy of the comparison.
-        user_policies: policies that are files of the user.
-        bundle: bundle of tubes whose hours are reported; None: no hours.
+        report: settings of the report, of policies in the table.
         missing: episodes that an interrupted evaluation lacks; None: it is finished.
     """
 
@@ -177,9 +169,7 @@ class Evaluation:
     profile: pd.DataFrame
     setting: Setting
     record: Manifest
-    against: str
-    user_policies: tuple[str, ...]
-    bundle: Bundle | None
+    report: ReportSettings
     missing: Missing | None
 
 
@@ -201,7 +191,7 @@ def read_evaluation(folder: Path) -> Evaluation:
         raise FileError(paths[1], "has policies that are not in episodes.parquet: evaluate again into this folder")
     report = _report_settings(folder, table, strict=True)
     setting, record = read_json(paths[3], Setting), read_json(paths[2], Manifest)
-    return Evaluation(table, profile, setting, record, report.against, report.user_policies, report.bundle, None)
+    return Evaluation(table, profile, setting, record, report, None)
 
 
 def _report_settings(folder: Path, table: pd.DataFrame, strict: bool) -> ReportSettings:
@@ -213,7 +203,7 @@ def _report_settings(folder: Path, table: pd.DataFrame, strict: bool) -> ReportS
         if strict and against:
             raise FileError(path, f"against = {against!r} is not one of the policies: {', '.join(policies)}")
         against = str(policies[0])
-    return ReportSettings(against=against, user_policies=users, bundle=settings.bundle)
+    return settings.model_copy(update={"against": against, "user_policies": users})
 
 
 def _interrupted(folder: Path) -> Evaluation:
@@ -232,8 +222,7 @@ def _interrupted(folder: Path) -> Evaluation:
     absent = Counter(name for key, name, _, _ in plan.episodes if key not in done)
     gaps = tuple((name, f"{absent[name]} of {total[name]} insertions") for name in total if absent[name])
     missing = Missing(len(stored), len(plan.episodes), gaps)
-    report = _report_settings(folder, table, strict=False)
-    return Evaluation(table, profile, setting, plan, report.against, report.user_policies, report.bundle, missing)
+    return Evaluation(table, profile, setting, plan, _report_settings(folder, table, strict=False), missing)
 
 
 def comparable(stored: Sequence[Planned]) -> list[Planned]:

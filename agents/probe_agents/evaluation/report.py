@@ -57,10 +57,10 @@ RANKED: Final = (
 def write_report(folder: Path) -> Path:
     """Write report.html from the files of a folder; if the evaluation is finished, summary.csv and bundle.csv."""
     done = read_evaluation(folder)
-    summary, hours = statistics.summarise(done.table), statistics.bundle_table(done.table, done.bundle)
+    summary, hours = statistics.summarise(done.table), statistics.bundle_table(done.table, done.report.bundle)
     if done.missing is None:
         write_atomically(folder / "summary.csv", summary.to_csv(index=False, float_format="%.6g"))
-        if done.bundle:
+        if done.report.bundle:
             write_atomically(folder / "bundle.csv", hours.to_csv(index=False, float_format="%.6g"))
     environment = Environment(undefined=StrictUndefined, autoescape=True, trim_blocks=True, lstrip_blocks=True)
     environment.policies["json.dumps_kwargs"] = {"separators": (",", ":")}
@@ -82,10 +82,14 @@ def _content(done: Evaluation, summary: pd.DataFrame, bundle: pd.DataFrame) -> d
     driven = done.profile[done.profile["policy"] == first.policy]
     note, schedule = profiles.short_schedule(descriptions(done).get(first.policy, {}), driven)
     points = ((f"{x:g}", f"{u:.3f}", f"{3600.0 * air:.0f}") for x, u, air in schedule.itertuples(index=False))
-    comparisons = [compare_with_best(table, policy, oracles) for policy in done.user_policies or (done.against,)]
+    comparisons = [
+        compare_with_best(table, policy, oracles) for policy in done.report.user_policies or (done.report.against,)
+    ]
     best = [name for name in order if name not in oracles]
-    ranked_table, more_figures = ranked(table, summary, done.user_policies, oracles)
-    visible = list(dict.fromkeys([*(v.policy for v in comparisons), *best[:2], done.against, *best]))[:DRAWN_AT_FIRST]
+    ranked_table, more_figures = ranked(table, summary, done.report.user_policies, oracles)
+    visible = list(dict.fromkeys([*(v.policy for v in comparisons), *best[:2], done.report.against, *best]))[
+        :DRAWN_AT_FIRST
+    ]
     limit_mm = task.limit * MM if task.vibration_measure == "displacement" else None
     measured = PROFILED.get(task.vibration_measure, "") in driven  # else displacement is drawn
     presets = PRESETS | ROUND_TRIP_PRESETS if task.returns else PRESETS
@@ -106,14 +110,14 @@ def _content(done: Evaluation, summary: pd.DataFrame, bundle: pd.DataFrame) -> d
         "note": note,
         "schedule": (["length [m]", "feed [m/s]", "air [m³/h]"], list(map(_row, points))),
         "comparisons": comparisons,
-        "own": {name: f"Your {'schedule' if name in schedules else 'policy'}" for name in done.user_policies},
+        "own": {name: f"Your {'schedule' if name in schedules else 'policy'}" for name in done.report.user_policies},
         "ranked": ranked_table,
         "more_figures": more_figures,
         "oracles": [name for name in order if name in oracles],
         "verdicts": {name: verdict for name, (verdict, _) in verdicts(done).items() if name != first.policy},
         "verdict_text": repeat.verdict_text,
         "strain_lines": statistics.strain_lines(table),
-        "comparison_lines": statistics.comparison_lines(table, done.against),
+        "comparison_lines": statistics.comparison_lines(table, done.report.against),
         "by_diameter": by_diameter(table, oracles),
         "by_tube": by_tube(table, oracles),
         "other_hours": (statistics.BUNDLE_HEADER, hours),
@@ -205,7 +209,7 @@ def first_page(done: Evaluation) -> FirstPage:
     """The first page: of the user's schedule, else of another policy of the user, else of the best without oracles."""
     task, order, limit = done.setting.task, ranking(done.table), limit_of(done.setting.task)
     schedules, oracles = _of_kind(done, SCHEDULES), oracle_policies(done)
-    mine = [*(name for name in done.user_policies if name in schedules), *done.user_policies]
+    mine = [*(name for name in done.report.user_policies if name in schedules), *done.report.user_policies]
     policy = next(iter([*mine, *(name for name in order if name not in oracles), *order]))
     table = done.table[done.table["policy"] == policy]
     below = table["share_within_limit"] < table.get("inspected_share", 1.0) - 1e-9
@@ -231,7 +235,7 @@ def first_page(done: Evaluation) -> FirstPage:
     ends = dict(endings(table).iterrows())[policy]
     if missing := ends["episodes"] - ends["complete"]:
         sentences[-1] += f"; it did not complete {missing} of {ends['episodes']} insertions"
-    hours = statistics.bundle_rows(statistics.bundle_table(table, done.bundle))
+    hours = statistics.bundle_rows(statistics.bundle_table(table, done.report.bundle))
     of_bundle = dict(zip(statistics.BUNDLE_HEADER[1:], hours[0][1:], strict=True)) if hours else {}
     return FirstPage(policy, tuple(sentences), to_repeat, (header, rows), of_bundle)
 

@@ -14,7 +14,7 @@ from probe_agents.evaluation.plan import Plan, run_plan
 from probe_agents.evaluation.repeat import verdict_text
 from probe_agents.evaluation.report import ended, verdicts
 from probe_agents.evaluation.report import write_report as write_report
-from probe_agents.evaluation.statistics import Interval, grouped, method_and_seed, short
+from probe_agents.evaluation.statistics import Interval, grouped, method_and_seed
 from probe_agents.evaluation.workers import HERE, Workers
 from probe_agents.policies.cases import EvaluationCase, read_case
 from probe_agents.policies.catalogue import domains_of, is_schedule_file, name_and_spec, named_policies, user_policies
@@ -156,8 +156,7 @@ def report_again(folder: Path, against: str | None = None) -> Path:
         policies = list(dict.fromkeys(done.table["policy"]))
         if against not in policies:
             raise ValueError(f"against = {against!r} is not one of the policies: {', '.join(policies)}")
-        report = ReportSettings(against=against, user_policies=done.user_policies, bundle=done.bundle)
-        write_json(folder / "report.json", report.to_json())
+        write_json(folder / "report.json", done.report.model_copy(update={"against": against}).to_json())
     return write_report(folder)
 
 
@@ -168,7 +167,7 @@ def print_summary(table: pd.DataFrame, against: str) -> None:
         figures, cells = part.set_index("kpi"), [str(policy)]
         for kpi, (_, factor, _) in labels.items():
             mean, low, high = figures.loc[[kpi], ["mean", "low", "high"]].to_numpy(dtype=float)[0].tolist()
-            cells.append(Interval(mean, low, high).text(factor) if low < high else short(mean * factor))
+            cells.append(Interval(mean, low, high).text(factor))
         rows.append(cells)
     header = ("policy", *map(heading, labels.values()))
     title = "Means with 95 % intervals over the contexts" if table["context"].nunique() > 1 else "Means in one tube"

@@ -169,15 +169,10 @@ def flaws_of(texts: Sequence[str], length: float) -> tuple[Flaw, ...]:
 def insert(
     policy: Policy, config: TaskConfig, context: Context, fidelity: Fidelity, seed: int, until: float | None = None
 ) -> Insertion:
-    """Record an insertion until the episode ends or a length is inserted.
+    """Record an insertion up to an inserted length [m] (default: the end of the helix), or until the episode ends.
 
-    Args:
-        policy: the policy.
-        config: the task.
-        context: the tube.
-        fidelity: its time-lapse is not used: it would skip metres of the tube.
-        seed: seed of sensor noise and start.
-        until: inserted length at the end [m]; None: the end of the helix.
+    The time-lapse of the fidelity is not used: it would skip metres of the tube. The seed is that of sensor noise and
+    start.
 
     Raises:
         RuntimeError: the simulation diverged.
@@ -220,14 +215,10 @@ def insert(
 
 
 def centred_spectra(sensor: Sensor, radial: FloatArray, feed: FloatArray) -> FloatArray:
-    """(p, m) noise densities for each ``FILTER_SAMPLES``, estimated from the second around it, as in the KPIs.
+    """(p, m) noise densities for each ``FILTER_SAMPLES`` of motion (k,) [m] and feed speed (k,) [m/s].
 
-    With an estimate from the past alone, the start of a burst would exceed the threshold.
-
-    Args:
-        sensor: constants of the sensor.
-        radial: (k,) motion [m].
-        feed: (k,) feed speed [m/s].
+    They are estimated from the second around it, as in the KPIs. With an estimate from the past alone, the start of a
+    burst would exceed the threshold.
     """
     estimator, spectra = SnrEstimator(sensor, 1, SAMPLE_PERIOD), []
     # the first piece is half as long, so that each second ends half a piece after one

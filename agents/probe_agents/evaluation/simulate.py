@@ -46,8 +46,7 @@ def simulate_scene(
 ) -> dict[str, float]:
     """Run a scene with a progress bar and write scene.toml, results.json, signals.npz, manifest.json and figures.
 
-    Returns:
-        statistics of the sensor and the mean root tension, SI units.
+    Returns statistics of the sensor and the mean root tension, SI units.
 
     Raises:
         SimulationError: the state diverged; nothing was written.

@@ -52,8 +52,8 @@ class Interval:
     high: float
 
     def text(self, factor: float = 1.0) -> str:
-        """Mean and interval, three digits; the mean alone without an interval."""
-        if math.isnan(self.low):
+        """Mean and interval, three digits; the mean alone without an interval or with one of no width."""
+        if not self.low < self.high:
             return short(self.mean * factor)
         return f"{short(self.mean * factor)} [{short(self.low * factor)}, {short(self.high * factor)}]"
 
@@ -74,11 +74,7 @@ def bootstrap_ends(
     In small samples many resamples are permutations of the sample. Their statistic equals that of the sample up to
     rounding, and BCa counts how many are below it: they are made equal, so that the last bit changes no interval.
 
-    Args:
-        statistic: function of the samples and ``axis``, unless ``vectorized=False``.
-        samples: independent samples (paired with ``paired=True``).
-        method: method of ``scipy.stats.bootstrap``.
-        options: further arguments of ``scipy.stats.bootstrap``.
+    The arguments are those of ``scipy.stats.bootstrap``.
     """
 
     def without_rounding(*resamples: np.ndarray, axis: int) -> Any:

@@ -50,12 +50,7 @@ def write_manifest(
 
 
 def origin(command: str | None = None, commits: Iterable[str] | None = None) -> dict[str, Any]:
-    """Command, version, commit, packages and machine as a JSON-ready dictionary.
-
-    Args:
-        command: command line; default: the one of this process.
-        commits: commits of the rows of a table; default: the present one.
-    """
+    """Command, version, commit, packages and machine, JSON-ready; arguments as in ``write_manifest``."""
     names = list(dict.fromkeys(commits if commits is not None else [commit()]))
     has_commits = bool(names) and "unknown" not in names
     return {

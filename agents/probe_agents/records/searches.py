@@ -29,12 +29,8 @@ class _Journal(JournalFileBackend):
 def open_study(path: Path, name: str, directions: Sequence[Literal["minimize", "maximize"]]) -> optuna.Study:
     """The study of this name, created if it does not exist; unfinished trials of a killed process are marked as failed.
 
-    The caller has locked the folder, so a lock of Optuna's is one that a killed process has left.
-
-    Args:
-        path: the journal; an incomplete last line is removed.
-        name: name of the study.
-        directions: "minimize" or "maximize" for each objective.
+    An incomplete last line of the journal is removed. The caller has locked the folder, so a lock of Optuna's is one
+    that a killed process has left.
 
     Raises:
         FileError: a line is not what was written.

@@ -77,11 +77,8 @@ class Store:
     ) -> pd.DataFrame:
         """Run what is not stored yet and add the rows of each run when it ends; returns the whole table.
 
-        Args:
-            runs: runs by the key of their last row.
-            rows_of: executes a run and returns its rows.
-            unit: name of a run in the progress bar.
-            jobs: number of threads.
+        Runs have the key of their last row; ``rows_of`` executes one, in ``jobs`` threads. The progress bar names the
+        ``unit``.
         """
         missing = [run for key, run in runs.items() if not self.has(*key)]
         announce(Work(unit, len(runs), lambda: sum(self.has(*key) for key in runs), self.path))

@@ -44,12 +44,7 @@ _ARROW: Final = {"name": pa.string(), "text": pa.string(), "truth": pa.bool_()}
 
 
 def read_csv(path: Path, columns: Columns = _NONE) -> pd.DataFrame:
-    """A CSV table with a header; the kinds of other columns are inferred.
-
-    Args:
-        path: the file.
-        columns: columns and their kinds.
-    """
+    """A CSV table with a header; the kinds of other columns are inferred."""
     text = read_text(path, MAX_CSV)
     header = next(filter(None, csv.reader(io.StringIO(text))), [])
     columns = _present(columns, header)

@@ -223,9 +223,6 @@ def run(output: Path, limit: int | None = None, trials: int = 1, workers: Worker
     """Run the cases that are not stored; writes ensemble.csv, claims.csv (``claims_of``) and growth.png.
 
     ``trials`` is the number of runs of a case, ``limit`` the number of cases, the most telling first; default: all.
-
-    Returns:
-        the table of claims.
     """
     duration = DURATION
     table = run_cases(output, trials, CASES[:limit], workers.jobs)

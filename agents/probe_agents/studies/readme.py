@@ -88,8 +88,7 @@ def learn(
 ) -> pd.DataFrame:
     """Train the README's recipe with ``trials`` seeds and test it at ``fast``; writes curve.csv and the models.
 
-    Returns:
-        means over the test tubes of every seed and number of steps, and of ``RIVALS``.
+    curve.csv has means over the test tubes of every seed and number of steps, and of ``RIVALS``.
     """
     from stable_baselines3 import PPO
 

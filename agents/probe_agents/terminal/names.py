@@ -24,13 +24,7 @@ def name_problem(name: str) -> str:
 
 
 def checked_name(name: str, what: str, hint: str = "") -> str:
-    """Check a name; returns it.
-
-    Args:
-        name: name of a policy or a design.
-        what: kind of object, for the error.
-        hint: advice, for the error.
-    """
+    """Check a name; returns it. ``what`` (kind of object) and ``hint`` (advice) are for the error."""
     problem = name_problem(name)
     if problem:
         raise ValueError(f"{what} {name[: 2 * MAX_LENGTH]!r} {problem}{hint and f' - {hint}'}")

@@ -27,13 +27,8 @@ def print_table(
 ) -> None:
     """Print a table; texts are printed literally, also "[s]", which rich would read as markup.
 
-    Args:
-        title: title above the table.
-        header: one text per column.
-        rows: texts of the cells.
-        left: number of first columns with text, aligned left, folded and repeated where there is no room; the other
-            columns are numbers, aligned right.
-        lines: whether to draw lines between the rows.
+    The first ``left`` columns are text, aligned left, folded and repeated where there is no room; the other columns are
+    numbers, aligned right. ``lines`` are between the rows.
     """
     console, cells = Console(), [[escaped(text) for text in row] for row in rows]
     for number, part in enumerate(parts_of(header, cells, left, console.width)):
@@ -51,11 +46,7 @@ def parts_of(
 ) -> list[dict[int, int | None]]:
     """Split a table into tables whose numbers fit the terminal without folding.
 
-    Args:
-        header: one text per column.
-        cells: rows of texts.
-        left: number of first columns with text.
-        width: width of the terminal [characters].
+    The first ``left`` columns are text; ``width`` is that of the terminal [characters].
 
     Returns:
         for each table its columns and their widths [characters]; None: no limit.

@@ -180,7 +180,7 @@ class InsertionScreen(RunScreen):
         if self._judged is None:
             return
         done = read_evaluation(self._judged.request.output)
-        if not done.bundle and not is_judged(done.setting.task):
+        if not done.report.bundle and not is_judged(done.setting.task):
             return
         first = first_page(done)
         text = f"<p class='big'><b>{escape(first.policy)}</b> is {escape('. It is '.join(first.verdict))}.</p>"
@@ -188,9 +188,9 @@ class InsertionScreen(RunScreen):
             header, rows = first.repeat
             cells = ((cell.text for cell in row) for row in rows)
             text += f"<p>Metres to repeat: {first.to_repeat}</p>" + (ui.table_html(header, cells) if rows else "")
-        if done.bundle:
+        if done.report.bundle:
             hours = "; ".join(f"{name}: {value}" for name, value in first.hours.items())
-            text += f"<p>Hours for {done.bundle.tubes} tubes: {hours}</p>"
+            text += f"<p>Hours for {done.report.bundle.tubes} tubes: {hours}</p>"
         self.verdict.text = text
 
     def _show_run(self, run: Run) -> None:
