@@ -14,10 +14,10 @@ from probe_agents.evaluation.statistics import Interval, mean_interval
 from probe_agents.policies.cases import TABLE_2
 from probe_agents.policies.catalogue import domains_of, name_and_spec
 from probe_agents.policies.policy import check_domains
-from probe_agents.records.atomic import write_atomically
 from probe_agents.records.manifest import commit
 from probe_agents.records.models import Key, Stored, require
 from probe_agents.records.result_folder import Journal, ResultFolder, check_hashes
+from probe_agents.records.store import write_tables
 from probe_agents.records.tables import Columns, read_csv
 from probe_agents.terminal.tables import print_table
 from probe_agents.terminal.work import Work, announce
@@ -94,10 +94,9 @@ def _compared(
         | done[keys[name, k]]["kpis"] | {"commit": done[keys[name, k]].get("commit", "unknown")}
         for name, k in named_trials
     )  # fmt: skip
-    write_atomically(output / STORED, table.to_csv(index=False, float_format="%.6g"))
-    write_atomically(output / "summary.csv", summarise(table).to_csv(index=False, float_format="%.6g"))
+    files = write_tables(output, {"designs": table, "summary": summarise(table)})
     built = {name: design.built.model_dump() for name, design in designs.items()}
-    folder.write_manifest(STORED, "summary.csv", commits=table["commit"], designs=built, **trials.setting)
+    folder.write_manifest(*files, commits=table["commit"], designs=built, **trials.setting)
     return table
 
 

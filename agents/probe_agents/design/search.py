@@ -29,7 +29,7 @@ from probe_agents.records.drawing import BLUE, RED, save
 from probe_agents.records.manifest import commit
 from probe_agents.records.result_folder import ResultFolder
 from probe_agents.records.searches import JOURNAL, open_study
-from probe_agents.records.store import COMMIT
+from probe_agents.records.store import COMMIT, write_tables
 from probe_agents.terminal.tables import print_line, print_table
 from probe_agents.terminal.work import Work, announce
 from probe_env import Design
@@ -154,17 +154,14 @@ def _write_tables(problem: DesignProblem, table: pd.DataFrame, folder: ResultFol
     output = folder.path
     front = table[table["on_front"]].sort_values("mean_square_ratio")
     influence = sensitivity(table, problem.axes)
-    for name, frame in (("trials", table), ("front", front), ("sensitivity", influence)):
-        write_atomically(
-            output / f"{name}.csv", frame.assign(**problem.tube_column).to_csv(index=False, float_format="%.6g")
-        )
+    tables = {"trials": table, "front": front, "sensitivity": influence}
+    files = write_tables(output, {name: frame.assign(**problem.tube_column) for name, frame in tables.items()})
     write_atomically(output / "found.toml", best_of(front, problem.config).to_toml())
     names = [name for name in problem.probes for _ in problem.reference_feeds()]  # the first trials
     references = table.iloc[: len(names)].assign(design=names[: len(table)])
     _draw_front(table, references, output / "front.png", problem.plant_label.title)
     setting: dict[str, Any] = {"contexts": len(problem.contexts), "trials": len(table), "seed": seed}
-    files = ("trials.csv", "front.csv", "sensitivity.csv", "found.toml")
-    folder.write_manifest(*files, seeds=(seed,), commits=table[COMMIT], **problem.setting, **setting)
+    folder.write_manifest(*files, "found.toml", seeds=(seed,), commits=table[COMMIT], **problem.setting, **setting)
     _print(front, influence, problem)
     print_line(f"written: {output}/ (front.csv, trials.csv, sensitivity.csv, front.png, found.toml)")
     return table

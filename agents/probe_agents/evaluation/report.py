@@ -21,6 +21,7 @@ from probe_agents.policies.on_map import Privileged
 from probe_agents.policies.planner import InsertionPlanner, InspectionPlanner
 from probe_agents.records.atomic import write_atomically
 from probe_agents.records.drawing import MM
+from probe_agents.records.store import write_tables
 from probe_env.envs.task import FAILURES, Measure, TaskConfig
 from probe_env.envs.vibration_map import PROFILED, rms_limit
 from probe_env.fidelity import PRESETS, ROUND_TRIP_PRESETS
@@ -59,9 +60,7 @@ def write_report(folder: Path) -> Path:
     done = read_evaluation(folder)
     summary, hours = statistics.summarise(done.table), statistics.bundle_table(done.table, done.report.bundle)
     if done.missing is None:
-        write_atomically(folder / "summary.csv", summary.to_csv(index=False, float_format="%.6g"))
-        if done.report.bundle:
-            write_atomically(folder / "bundle.csv", hours.to_csv(index=False, float_format="%.6g"))
+        write_tables(folder, {"summary": summary} | ({"bundle": hours} if done.report.bundle else {}))
     environment = Environment(undefined=StrictUndefined, autoescape=True, trim_blocks=True, lstrip_blocks=True)
     environment.policies["json.dumps_kwargs"] = {"separators": (",", ":")}
     environment.filters["g"] = lambda value, digits=6: f"{value:.{digits}g}"

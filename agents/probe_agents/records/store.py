@@ -28,6 +28,13 @@ def as_csv(table: pd.DataFrame, digits: int) -> str:
     return table.assign(**exact).to_csv(index=False, float_format=f"%.{digits}g")
 
 
+def write_tables(folder: Path, tables: Mapping[str, pd.DataFrame], digits: int = 6) -> list[str]:
+    """Write tables as NAME.csv, see ``as_csv``; returns the names of the files."""
+    for name, table in tables.items():
+        write_atomically(folder / f"{name}.csv", as_csv(table, digits))
+    return [f"{name}.csv" for name in tables]
+
+
 def stored_rows(path: Path) -> pd.DataFrame:
     """The rows of a stored table, of any commit."""
     return read_csv(path, COLUMNS)

@@ -20,10 +20,9 @@ from tqdm import tqdm
 
 from probe_agents.evaluation.statistics import ratio_interval
 from probe_agents.evaluation.workers import HERE, Workers
-from probe_agents.records.atomic import write_atomically
 from probe_agents.records.drawing import GREY, save
 from probe_agents.records.manifest import CHECKOUT, write_manifest
-from probe_agents.records.store import Store, as_csv, stored_rows
+from probe_agents.records.store import Store, stored_rows, write_tables
 from probe_agents.records.tables import Columns, read_csv
 from probe_agents.studies.builtin import print_frame
 from probe_agents.studies.claims import CASES, PERTURBATION, load_rows
@@ -239,8 +238,7 @@ def run_costs(output: Path) -> None:
             seconds.append(time.process_time() - begin)
         node_steps = kind.width * steps * (length + 2.5) / 0.1 * nodes
         rows.append((method, nodes, length, min(seconds[1:]) / node_steps * 1e9))
-    table = pd.DataFrame(rows, columns=list(COST_COLUMNS))
-    write_atomically(output / "costs.csv", table.to_csv(index=False, float_format="%.5g"))
+    write_tables(output, {"costs": pd.DataFrame(rows, columns=list(COST_COLUMNS))}, 5)
 
 
 def cpu_seconds(costs: pd.DataFrame, settings: pd.DataFrame) -> pd.Series:
@@ -455,8 +453,7 @@ def draw_chart(output: Path) -> None:
         "choices": choices(ensembles, costs),
         "presets": presets(constant, costs),
     }
-    for name, table in (tables | {"measured_errors": measured_errors(constant, inserted)}).items():
-        write_atomically(output / f"{name}.csv", as_csv(table, 4))
+    write_tables(output, tables | {"measured_errors": measured_errors(constant, inserted)}, 4)
     commits = pd.concat([table["commit"].dropna() for table in (smooth, ensembles, insertions)])
     write_manifest(output, [f"{name}.csv" for name in (*stored, "costs", *tables)], commits=commits)
     draw_smooth(smooth, output / "smooth.png")

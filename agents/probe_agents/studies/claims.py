@@ -20,11 +20,10 @@ from scipy.signal import welch
 from scipy.stats import mannwhitneyu
 
 from probe_agents.evaluation.workers import HERE, Workers
-from probe_agents.records.atomic import write_atomically
 from probe_agents.records.drawing import BLUE, MM, save
 from probe_agents.records.manifest import write_manifest
 from probe_agents.records.shipped import file_or_shipped
-from probe_agents.records.store import Store, stored_rows
+from probe_agents.records.store import Store, stored_rows, write_tables
 from probe_agents.studies.builtin import print_frame
 from probe_agents.terminal.tables import print_line
 from probe_env import Scene, SimulationError, Simulator, StabilityWarning
@@ -227,9 +226,8 @@ def run(output: Path, limit: int | None = None, trials: int = 1, workers: Worker
     duration = DURATION
     table = run_cases(output, trials, CASES[:limit], workers.jobs)
     claims = claims_of(table)
-    write_atomically(output / "claims.csv", claims.to_csv(index=False, float_format="%.4g"))
-    files = ("ensemble.csv", "claims.csv")
-    write_manifest(output, files, commits=table["commit"], members=trials, duration_s=duration)
+    files = write_tables(output, {"claims": claims}, 4)
+    write_manifest(output, ("ensemble.csv", *files), commits=table["commit"], members=trials, duration_s=duration)
     columns = ("claim", "figure", "case", "statistic", "mean", "least", "greatest", "reference_mean", "holds")
     print_frame(f"Claims: {trials} run(s) per case, {duration:g} s each", claims, columns, texts=4)
     complete = Ensemble(table).has(*(f"l{length}" for length in GROWTH))

@@ -14,9 +14,9 @@ import pandas as pd
 from probe_agents.evaluation import statistics
 from probe_agents.evaluation.kpis import HIGH, KPIS, OVER_TUBES, heading
 from probe_agents.evaluation.statistics import Interval, by_context, curves_by_tube, mean_interval, short
-from probe_agents.records.atomic import write_atomically
 from probe_agents.records.drawing import BLUE, GREY, colours, escape_dollars, save
 from probe_agents.records.manifest import write_manifest
+from probe_agents.records.store import write_tables
 from probe_agents.studies.run import Setting
 from probe_agents.studies.spec import Changes, Study
 from probe_agents.terminal.tables import print_table
@@ -128,9 +128,7 @@ def _replaced(columns: Sequence[str], key: tuple[Any, ...], values: Changes, key
 def write_comparison(study: Study, settings: Sequence[Setting], episodes: pd.DataFrame, output: Path) -> pd.DataFrame:
     """Write episodes.csv, comparison.csv, comparison.png and manifest.json, and print the comparison."""
     table = compare(study, settings, episodes)
-    write_atomically(output / "episodes.csv", episodes.to_csv(index=False, float_format="%.6g"))
-    write_atomically(output / "comparison.csv", table.to_csv(index=False, float_format="%.6g"))
-    files = ("episodes.csv", "comparison.csv")
+    files = write_tables(output, {"episodes": episodes, "comparison": table})
     write_manifest(output, files, commits=episodes["commit"], study=study.model_dump(mode="json"))
     rows, columns = _displayed(study, settings, table)
     (_across if study.figure else _forest)(study, rows, columns, output / "comparison.png")

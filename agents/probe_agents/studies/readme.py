@@ -16,8 +16,8 @@ import pandas as pd
 from probe_agents.evaluation.plan import Plan, run_plan
 from probe_agents.evaluation.workers import HERE, Workers
 from probe_agents.policies.catalogue import named_policies
-from probe_agents.records.atomic import write_atomically
 from probe_agents.records.manifest import CHECKOUT, write_json, write_manifest
+from probe_agents.records.store import write_tables
 from probe_agents.terminal.tables import print_terms
 from probe_env import TaskConfig, load_contexts
 from probe_env.fidelity import resolve_fidelity
@@ -114,8 +114,7 @@ def learn(
     means = run_plan(plan, None, batch=64).groupby("policy", sort=False)
     figures = means[["reward", "inspection_time_s", "share_within_limit", "lost_drive"]].mean().reset_index()
     table = figures.merge(rows, how="left", on="policy")
-    write_atomically(output / "curve.csv", table.to_csv(index=False, float_format="%.6g"))
-    write_manifest(output, ("curve.csv",), seeds=seeds)
+    write_manifest(output, write_tables(output, {"curve": table}), seeds=seeds)
     print(table.to_string())
     return table
 

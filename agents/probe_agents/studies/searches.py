@@ -29,6 +29,7 @@ from probe_agents.policies.policy import Policy
 from probe_agents.policies.wrappers import RoundTripPolicy, insertion_task
 from probe_agents.records.atomic import write_atomically
 from probe_agents.records.manifest import commit, origin, write_json
+from probe_agents.records.store import write_tables
 from probe_agents.studies.builtin import print_frame
 from probe_agents.terminal.tables import print_line
 from probe_env import Context, Plant
@@ -51,7 +52,7 @@ def plan_of(policies: Mapping[str, Policy], case: EvaluationCase) -> Plan:
 
 def write_search(output: Path, name: str, trials: pd.DataFrame, record: Mapping[str, Any], digits: int = 6) -> None:
     """Write the trials of a search, NAME-trials.csv, and what it found, NAME.json."""
-    write_atomically(output / f"{name}-trials.csv", trials.to_csv(index=False, float_format=f"%.{digits}g"))
+    write_tables(output, {f"{name}-trials": trials}, digits)
     write_json(output / f"{name}.json", record)
 
 

@@ -12,7 +12,6 @@ Passive chains: energy after 100,000 steps.
 
 import math
 import warnings
-from functools import lru_cache
 from itertools import product
 from pathlib import Path
 from typing import Any, Final
@@ -20,15 +19,13 @@ from typing import Any, Final
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
-from joblib import Parallel, delayed
 from matplotlib.colors import ListedColormap
 from matplotlib.patches import Patch
-from tqdm import tqdm
 
 from probe_agents.evaluation.workers import HERE, Workers
-from probe_agents.records.atomic import write_atomically
 from probe_agents.records.drawing import GREY, save
 from probe_agents.records.manifest import write_manifest
+from probe_agents.records.store import Store, write_tables
 from probe_agents.studies.builtin import print_frame
 from probe_agents.studies.chart import STIFFNESSES
 from probe_agents.terminal.tables import print_line
@@ -46,7 +43,7 @@ Cell = tuple[str, float, float, float, float]
 RATIOS = (0.25, 0.5, 1.0, 1.33, 1.67, 2.2, 4.4)
 LENGTHS = (10.0, 50.0)  # [m]
 FRICTIONS = (0.05, 0.15, 0.3)
-COLUMNS = ("method", *ROWS, "ratio", "time_step_s", "omega_dt", "diverged_at_s")
+KEYS = ("method", *ROWS, "ratio")
 WRONG = 0.05
 """Numerical damping ratio of the contact, lost or gained."""
 DURATION = {"explicit": 0.1}  # [s], else 0.5
@@ -67,16 +64,15 @@ DAMPING: Final = (0.0, 5e-5)  # [s]
 
 
 def run(output: Path, workers: Workers = HERE) -> pd.DataFrame:
-    """Run map, one mass and passive chains; writes map.csv, steps.csv, one_mass.csv, energy.csv and map.png."""
-    table = run_map(cells(), workers.jobs)
-    steps = by_step(table)
-    tables = {"map": table, "steps": steps, "one_mass": run_one_mass(), "energy": run_energy()}
-    for name, part in tables.items():
-        write_atomically(output / f"{name}.csv", part.to_csv(index=False, float_format="%.5g"))
-    write_manifest(output, [f"{name}.csv" for name in tables])
+    """Run what is not stored of the map, one mass and passive chains; writes tables and map.png."""
+    runs = {cell: cell for cell in cells()}
+    table = Store(output / "map.csv", KEYS).fill(runs, lambda cell: [run_cell(*cell)], jobs=workers.jobs)
+    table = table.set_index(list(KEYS)).loc[list(runs)].reset_index()
+    tables = {"steps": by_step(table), "one_mass": run_one_mass(), "energy": run_energy()}
+    write_manifest(output, ["map.csv", *write_tables(output, tables, 5)], commits=table["commit"])
     draw_map(classify(table), output / "map.png")
-    print_frame("Shares of the cells of a step (ratio to the stability limit)", steps)
-    print_line(f"written: {output}/ ({', '.join(tables)} as .csv, map.png)")
+    print_frame("Shares of the cells of a step (ratio to the stability limit)", tables["steps"])
+    print_line(f"written: {output}/ (map, {', '.join(tables)} as .csv, map.png)")
     return table
 
 
@@ -95,7 +91,10 @@ def _scene_and_step(method: str, stiffness: float, length: float, friction: floa
 
 
 def run_cell(method: str, stiffness: float, length: float, friction: float, ratio: float) -> dict[str, Any]:
-    """One run from rest: step, omega dt of a float on its contact spring, time of divergence (NaN: stable)."""
+    """One run from rest: step, omega dt of a float on its contact spring, time of divergence (NaN: stable).
+
+    bounce_damping is that of one mass; NaN for a superelement, or if it diverged.
+    """
     scene, time_step = _scene_and_step(method, stiffness, length, friction, ratio)
     steps = int(np.ceil(DURATION.get(method, 0.5) / time_step))
     with warnings.catch_warnings():
@@ -107,21 +106,11 @@ def run_cell(method: str, stiffness: float, length: float, friction: float, rati
     except SimulationError as error:
         diverged = error.time
     mass = scene.probe.line_density * scene.probe.float_pitch / 4
-    values = (method, stiffness, length, friction, ratio, time_step, time_step * np.sqrt(stiffness / mass), diverged)
-    return dict(zip(COLUMNS, values, strict=True))
-
-
-def run_map(runs: list[Cell], jobs: int) -> pd.DataFrame:
-    """One row of ``run_cell`` per cell, with bounce_damping of one mass (NaN: superelement, or diverged)."""
-    work = Parallel(n_jobs=jobs, prefer="threads", return_as="generator")(delayed(run_cell)(*cell) for cell in runs)
-    table = pd.DataFrame(tqdm(work, total=len(runs), desc="stability", unit="run"))
-    table["bounce_damping"] = [_bounce_damping(*row) for row in table[["method", "omega_dt"]].itertuples(index=False)]
-    return table
-
-
-@lru_cache(maxsize=1024)
-def _bounce_damping(method: str, omega_dt: float) -> float:
-    return bounce(method, omega_dt)[1] if method in ON_NODES else float("nan")
+    omega_dt = time_step * float(np.sqrt(stiffness / mass))
+    return dict(zip(KEYS, (method, stiffness, length, friction, ratio), strict=True)) | {
+        "time_step_s": time_step, "omega_dt": omega_dt, "diverged_at_s": diverged,
+        "bounce_damping": bounce(method, omega_dt)[1] if method in ON_NODES else math.nan,
+    }  # fmt: skip
 
 
 def classify(table: pd.DataFrame) -> pd.DataFrame:
