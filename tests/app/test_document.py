@@ -19,7 +19,7 @@ from bokeh.events import ButtonClick
 from probe_agents.app.runs import Frame, Run, RunRequest
 from probe_agents.app.screens.page import PATIENCE, Page
 from probe_agents.app.worker import row_of, shape_of
-from probe_agents.design.compare import cells, read_comparison, summarise
+from probe_agents.design.compare import read_comparison, summarise, texts_of
 from probe_agents.evaluation.plan import Plan, RolloutRunner
 from probe_agents.policies.cases import load_case
 from probe_agents.policies.catalogue import named_policies
@@ -191,7 +191,7 @@ def test_design_comparison_equals_that_of_the_command(page, tmp_path):
     assert "&lt;script&gt;" in page.compare.problem.text
     page.compare.open.value = "results/design/confirmed"
     assert page.compare.problem.text == ""
-    rows = cells(summarise(read_comparison(Path("results/design/confirmed"))))
+    _, rows = texts_of(summarise(read_comparison(Path("results/design/confirmed"))))
     assert all(f"<td>{text}</td>" in page.compare.content.text for _, *texts in rows for text in texts)
 
 

@@ -113,21 +113,15 @@ def summarise(table: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=columns)
 
 
-def cells(summary: pd.DataFrame) -> list[list[str]]:
-    """Rows of text: a design, its KPIs with intervals, and the change of the reward against the first design."""
+def texts_of(summary: pd.DataFrame) -> tuple[list[str], list[list[str]]]:
+    """Header and rows: a design, its KPIs with intervals, and the change of the reward against the first design."""
     rows, kpis = [], kpis_of(summary["kpi"], OF_DESIGNS)
-    for name in dict.fromkeys(summary["design"]):
-        part = summary[summary["design"] == name].set_index("kpi")
-        means = {kpi: Interval(*part.loc[kpi, ["mean", "low", "high"]]) for kpi in kpis}
-        change = Interval(*part.loc["reward", ["change", "change_low", "change_high"]])
-        rows.append([str(name), *(mean.text(kpis[kpi][1]) for kpi, mean in means.items()), change.text()])
-    return rows
-
-
-def header(summary: pd.DataFrame) -> list[str]:
-    """Headers of ``cells``."""
-    kpis = kpis_of(summary["kpi"], OF_DESIGNS).values()
-    return ["design", *map(heading, kpis), "reward, change"]
+    for name, part in summary.groupby("design", sort=False):
+        figures = part.set_index("kpi")
+        means = (Interval(*figures.loc[kpi, ["mean", "low", "high"]]).text(kpis[kpi][1]) for kpi in kpis)
+        change = Interval(*figures.loc["reward", ["change", "change_low", "change_high"]])
+        rows.append([str(name), *means, change.text()])
+    return ["design", *map(heading, kpis.values()), "reward, change"], rows
 
 
 def read_comparison(folder: Path) -> pd.DataFrame:
@@ -141,7 +135,7 @@ def print_comparison(table: pd.DataFrame) -> None:
     where = f" of {table['tube'].iloc[0]}" if "tube" in table else ""
     number, summary = table["context"].nunique(), summarise(table)
     means = f"Means over {number} tubes{where} with 95 % intervals" if number > 1 else f"One tube{where}"
-    print_table(f"{means}; change against the first", header(summary), cells(summary))
+    print_table(f"{means}; change against the first", *texts_of(summary))
     for name, part in table.groupby("design", sort=False):
         counts = part.reindex(columns=list(FAILURES), fill_value=0.0).sum().astype(int)
         print(f"{name}: {', '.join(f'{counts[reason]} {label_of(reason)}' for reason in FAILURES)}")

@@ -131,7 +131,9 @@ def evaluate_plan(
     print_summary(grouped(table), report.against)
     for policy, (verdict, _) in verdicts(read_evaluation(output)).items():
         print(f"{policy}: {verdict_text(verdict)}")
-    print_bundle(statistics.bundle_table(grouped(table), plan.bundle))
+    if plan.bundle:
+        hours = statistics.bundle_rows(statistics.bundle_table(grouped(table), plan.bundle))
+        print_table(f"Hours for {plan.bundle.tubes} tubes with 95 % intervals", statistics.BUNDLE_HEADER, hours)
     files = "report.html, episodes.csv, episodes.parquet, profile.parquet, summary.csv"
     print_line(f"written: {output}/ ({files}{', bundle.csv' if plan.bundle else ''})")
     return table
@@ -164,11 +166,8 @@ def print_summary(table: pd.DataFrame, against: str) -> None:
     """Print KPIs with intervals, how episodes ended and differences to a policy."""
     labels, rows = displayed_kpis(table.columns), []
     for policy, part in statistics.summarise(table).groupby("policy", sort=False):
-        figures, cells = part.set_index("kpi"), [str(policy)]
-        for kpi, (_, factor, _) in labels.items():
-            mean, low, high = figures.loc[[kpi], ["mean", "low", "high"]].to_numpy(dtype=float)[0].tolist()
-            cells.append(Interval(mean, low, high).text(factor))
-        rows.append(cells)
+        figures = part.set_index("kpi")[["mean", "low", "high"]]
+        rows.append([str(policy), *(Interval(*figures.loc[kpi]).text(label[1]) for kpi, label in labels.items())])
     header = ("policy", *map(heading, labels.values()))
     title = "Means with 95 % intervals over the contexts" if table["context"].nunique() > 1 else "Means in one tube"
     print_table(title, header, rows)
@@ -176,10 +175,3 @@ def print_summary(table: pd.DataFrame, against: str) -> None:
         print(f"{name}: {ended(row)}")
     for line in (*statistics.strain_lines(table), *statistics.comparison_lines(table, against)):
         print(line)
-
-
-def print_bundle(hours: pd.DataFrame) -> None:
-    """Print a ``bundle_table``; nothing if it is empty."""
-    if len(hours):
-        title = f"Hours for {hours['tubes'].iloc[0]} tubes with 95 % intervals"
-        print_table(title, statistics.BUNDLE_HEADER, statistics.bundle_rows(hours))

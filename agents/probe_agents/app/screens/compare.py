@@ -10,7 +10,7 @@ from bokeh.models import Select, TextInput
 from probe_agents.app.run_store import stored_runs
 from probe_agents.app.screens import widgets as ui
 from probe_agents.app.state import Session
-from probe_agents.design.compare import STORED, cells, header, read_comparison, summarise
+from probe_agents.design.compare import STORED, read_comparison, summarise, texts_of
 from probe_agents.evaluation.report import write_report
 
 INTRO: Final = "<h2>Compare</h2><p class='quiet'>Reports of stored evaluations, and comparisons of probe designs.</p>"
@@ -52,7 +52,8 @@ class CompareScreen(ui.Screen):
     def _show(self, folder: Path) -> None:
         if (folder / STORED).exists():  # a comparison of designs
             summary = summarise(read_comparison(folder))
-            self.content.text = ui.table_html(header(summary), (map(escape, texts) for texts in cells(summary)))
+            header, rows = texts_of(summary)
+            self.content.text = ui.table_html(header, (map(escape, texts) for texts in rows))
             return
         report = folder / "report.html"
         stored_at = max((path.stat().st_mtime for path in folder.glob("episodes.*")), default=0.0)
