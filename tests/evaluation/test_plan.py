@@ -46,14 +46,17 @@ def test_table_has_every_episode_paired_by_seed(evaluated):
 
 def test_the_profile_is_per_metre():
     """Periods that end at 5.4, 5.8, 6.0 and 6.5 m: three in the sixth metre, one in the seventh."""
-    periods = [(t, length, 0.2, 0.02, rms, 4.0, 2.0 * rms) for t, length, rms in
+    periods = [(t, length, 0.2 + 0.1 * (t == 1), 0.02, rms, 4.0, 2.0 * rms, 3.0 * rms) for t, length, rms in
                ((1, 5.4, 3e-4), (2, 5.8, 4e-4), (3, 6.0, 0.0), (4, 6.5, 1e-4))]  # fmt: skip
     profile = per_metre(periods)
     assert profile["inserted_length"].tolist() == [5.5, 6.5]
     assert profile["time"].tolist() == [3.0, 4.0]
     assert profile["radial_rms_m"] == pytest.approx([np.sqrt(25.0 / 3.0) * 1e-4, 1e-4])
     assert profile["noise_rms_m"] == pytest.approx(2.0 * profile["radial_rms_m"])
-    assert profile["feed_speed"] == pytest.approx([0.2, 0.2])
+    assert profile["axial_velocity_rms"] == pytest.approx(3.0 * profile["radial_rms_m"])
+    assert profile["feed_speed"] == pytest.approx([0.7 / 3.0, 0.2])
+    assert profile["highest_feed"] == pytest.approx([0.3, 0.2])
+    assert {len(values) for values in per_metre([]).values()} == {0}
 
 
 def test_the_profile_of_both_passes_reaches_to_the_turn():

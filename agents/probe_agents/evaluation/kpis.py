@@ -49,7 +49,7 @@ OF_DESIGNS: Final[Kpis] = {
     **{name: DETECTION[name] for name in ("a90_percent_wall", "length_with_snr_over_3_m")},
 }
 """KPIs of designs, in the order of tables."""
-PROFILE_COLUMNS: Final = (
+PROFILE_COLUMNS: Final[tuple[str, ...]] = (
     "time", "inserted_length", "feed_speed", "air_supply_rate", "radial_rms_m", "tension_mean_n", "noise_rms_m",
 )  # fmt: skip
 """Columns of an episode's profile, SI units; ``noise_rms_m``: noise in the band of a flaw, as radial rms."""

@@ -49,6 +49,8 @@ from probe_env.fidelity import PRESETS, measured_errors
 from probe_env.inspection.metrics import with_pod_columns
 from probe_env.machine import available_cores
 
+PERIOD: Final = (*PROFILE_COLUMNS, "axial_velocity_rms")
+"""Columns of a control period in a runner; rms of the sensor's axial velocity [m/s], NaN: not simulated."""
 BATCH: Final = 16
 """Number of episodes in a batch."""
 SECONDS_PER_METRE, MEAN_FRACTION = 5.5, 0.6
@@ -242,40 +244,19 @@ def _records(plan: Plan, missing: deque[EpisodeId], batch: int, threads: int | N
 
 
 def per_metre(profile: list[tuple[float, ...]]) -> dict[str, npt.NDArray[np.float64]]:
-    """Means of control periods (``PROFILE_COLUMNS``) over each metre of inserted length; of squares for rms values.
+    """Means of control periods (``PERIOD``) over each metre of inserted length; of squares for rms values.
 
-    ``inserted_length`` is the middle of the metre, ``time`` the end of its last period.
+    ``inserted_length`` is the middle of the metre, ``time`` the end of its last period; also its ``highest_feed``.
     """
-    squared = ["radial_rms_m", "noise_rms_m"]
-    if not profile:
-        return {name: np.zeros(0) for name in PROFILE_COLUMNS}
-    periods, metre = _periods(profile)
+    squared = ["radial_rms_m", "noise_rms_m", "axial_velocity_rms"]
+    periods = pd.DataFrame(profile, columns=list(PERIOD), dtype=float)
+    metre = np.ceil(periods["inserted_length"] - 1e-6) - 1.0  # a period that ends on a whole metre is in that before
     groups = periods.assign(**{name: periods[name] ** 2 for name in squared}).groupby(metre)
     means = groups.mean()
     means[squared] **= 0.5
-    means["time"] = groups["time"].max()
+    means["time"], means["highest_feed"] = groups["time"].max(), groups["feed_speed"].max()
     means["inserted_length"] = means.index + 0.5
-    return {name: means[name].to_numpy() for name in PROFILE_COLUMNS}
-
-
-def instrument_columns(
-    profile: list[tuple[float, ...]], axial: list[float], config: TaskConfig
-) -> dict[str, npt.NDArray[np.float64]]:
-    """Columns ``PROFILE_COLUMNS_INSTRUMENT`` of each metre of ``per_metre``; ``axial`` as in ``RolloutRunner``."""
-    if not profile:
-        return {name: np.zeros(0) for name in PROFILE_COLUMNS_INSTRUMENT}
-    periods, metre = _periods(profile)
-    highest = periods["feed_speed"].groupby(metre).max().to_numpy()
-    vibration = np.sqrt((pd.Series(axial) ** 2).groupby(metre).mean().to_numpy())
-    permitted = config.permitted_speed[0]
-    limits = np.full(len(highest), permitted if np.isfinite(permitted) else np.nan)
-    return dict(zip(PROFILE_COLUMNS_INSTRUMENT, (highest, vibration, limits), strict=True))
-
-
-def _periods(profile: list[tuple[float, ...]]) -> tuple[pd.DataFrame, pd.Series]:
-    """Control periods and the metre of each; one that ends on a whole metre is in that before."""
-    periods = pd.DataFrame(profile, columns=list(PROFILE_COLUMNS))
-    return periods, np.ceil(periods["inserted_length"] - 1e-6) - 1.0
+    return {str(name): means[name].to_numpy() for name in means}
 
 
 class RolloutRunner:
@@ -290,8 +271,7 @@ class RolloutRunner:
     Attributes:
         episodes: the running episodes.
         ids: episode of each lane.
-        profile: for each lane, one row per control period of the insertion so far, columns ``PROFILE_COLUMNS``.
-        axial: for each row of ``profile``, rms of the sensor's axial velocity [m/s]; NaN: not simulated.
+        profile: for each lane, one row per control period of the insertion so far, columns ``PERIOD``.
         decided: whether ``actions`` are those of the next period.
         actions: (N, 2) last actions.
         last: the last period; None before the first.
@@ -312,7 +292,6 @@ class RolloutRunner:
         )
         self.ids: list[EpisodeId | None] = [None] * count
         self.profile: list[list[tuple[float, ...]]] = [[] for _ in range(count)]
-        self.axial: list[list[float]] = [[] for _ in range(count)]
         self.decided = False
         self.actions = np.zeros((count, 2), dtype=np.float32)
         self.last: Step | None = None
@@ -337,7 +316,7 @@ class RolloutRunner:
         fresh = {k: self.missing.popleft() for k in idle[: len(self.missing)]}
         if fresh:
             for k, episode in fresh.items():
-                self.ids[k], self.profile[k], self.axial[k] = episode, [], []
+                self.ids[k], self.profile[k] = episode, []
                 self._players.begin(k, self.plan.policies[episode[0]])
             options = {k: {"context": self.plan.contexts[context]} for k, (_, context, _) in fresh.items()}
             rngs = {k: np.random.default_rng([seed, context]) for k, (_, context, seed) in fresh.items()}
@@ -359,18 +338,19 @@ class RolloutRunner:
         for k in np.flatnonzero(self.active).tolist():
             info = step.infos[k]
             if direction[k] > 0.0:
-                self.axial[k].append(np.nan if axial is None else float(axial[k]))
-                self.profile[k].append(tuple(float(info.get(name, np.nan)) for name in PROFILE_COLUMNS))
+                values = (*(info.get(name, np.nan) for name in PROFILE_COLUMNS), np.nan if axial is None else axial[k])
+                self.profile[k].append(tuple(map(float, values)))
             if "episode_kpis" in info:
                 episode, metres = self.episode_id(k), per_metre(self.profile[k])
-                kpis = with_pod_columns(info["episode_kpis"])
-                if repeat.is_judged(self.plan.config):
-                    metres |= instrument_columns(self.profile[k], self.axial[k], self.plan.config)
-                    segments = repeat.segments_of(
-                        metres, self.plan.config, kpis["complete"] > 0.0, kpis["lost_drive"] > 0.0
+                kpis, names, config = with_pod_columns(info["episode_kpis"]), PROFILE_COLUMNS, self.plan.config
+                if repeat.is_judged(config):
+                    names, permitted = (*names, *PROFILE_COLUMNS_INSTRUMENT), config.permitted_speed[0]
+                    metres["permitted_speed"] = np.full_like(
+                        metres["time"], permitted if permitted < np.inf else np.nan
                     )
-                    kpis |= repeat.instrument_kpis(segments, self.plan.config)
-                profile = {name: [float(f"{v:.5g}") for v in values] for name, values in metres.items()}
+                    segments = repeat.segments_of(metres, config, kpis["complete"] > 0.0, kpis["lost_drive"] > 0.0)
+                    kpis |= repeat.instrument_kpis(segments, config)
+                profile = {name: [float(f"{v:.5g}") for v in metres[name]] for name in names}
                 record = {"key": self.plan.key(episode), "episode": episode, "commit": commit(), "kpis": kpis}
                 probe = {"probe": self._probes[k]} if k in self._probes else {}
                 yield record | {"profile": profile} | probe
