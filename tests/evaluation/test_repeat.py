@@ -57,7 +57,7 @@ def judged(metres, config=CONFIG, **ended):
     """Verdict and intervals."""
     segments = segments_of(metres, config, **ended)
     intervals = intervals_to_repeat(segments, config)
-    return verdict_of("mine", [(segments, intervals)], config), list(intervals.itertuples(index=False, name=None))
+    return verdict_of([(segments, intervals)], config), list(intervals.itertuples(index=False, name=None))
 
 
 def test_too_fast_too_loud_and_good():

@@ -218,7 +218,6 @@ class Verdict:
     """Whether a feed is allowed with the instrument, over all tubes.
 
     Attributes:
-        policy: name.
         permitted: permitted speed [m/s]; infinite without a limit.
         requirement: field of the instrument that sets it; "" without a limit.
         too_fast: intervals in which some tube was passed too fast [m]; none: the feed is allowed.
@@ -232,7 +231,6 @@ class Verdict:
         insertions: number of insertions.
     """
 
-    policy: str
     permitted: float
     requirement: str
     too_fast: tuple[tuple[float, float], ...]
@@ -255,7 +253,7 @@ class Verdict:
         return not self.too_fast
 
 
-def verdict_of(policy: str, cases: Sequence[RepeatCase], config: TaskConfig) -> Verdict:
+def verdict_of(cases: Sequence[RepeatCase], config: TaskConfig) -> Verdict:
     """The verdict on the episodes of a policy, or on a log."""
     kpis = pd.DataFrame([instrument_kpis(segments, config) for segments, _ in cases])
     intervals: dict[str, tuple[tuple[float, float], ...]] = {}
@@ -268,7 +266,7 @@ def verdict_of(policy: str, cases: Sequence[RepeatCase], config: TaskConfig) -> 
         lengths[reason] = float((end - begin).sum()) / len(cases)
     mean = kpis.mean()
     return Verdict(
-        policy, *config.permitted_speed, intervals[SPEED], lengths[SPEED], float(kpis["speed_excess_m_per_s"].max()),
+        *config.permitted_speed, intervals[SPEED], lengths[SPEED], float(kpis["speed_excess_m_per_s"].max()),
         float(mean["length_to_repeat_m"]), float(mean.get("length_sensor_too_fast_m", math.nan)),
         intervals[NOISE], lengths[NOISE], len(cases),
     )  # fmt: skip

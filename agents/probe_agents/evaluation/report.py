@@ -183,7 +183,7 @@ def verdicts(done: Evaluation) -> dict[str, tuple[repeat.Verdict, list[repeat.Re
     if not repeat.is_judged(task):
         return {}
     cases = repeat.by_policy(repeat.cases_of(done.table, done.profile, task))
-    return {policy: (repeat.verdict_of(policy, own, task), own) for policy, own in cases.items()}
+    return {policy: (repeat.verdict_of(own, task), own) for policy, own in cases.items()}
 
 
 class FirstPage(NamedTuple):

@@ -196,7 +196,7 @@ def write_repeat(log: Log, name: str, case: EvaluationCase, folder: Path) -> lis
     """
     segments = log_segments(log, case.config)
     intervals = intervals_to_repeat(segments, case.config)
-    print_terms({"speed": verdict_text(verdict_of(name, [(segments, intervals)], case.config))})
+    print_terms({"speed": verdict_text(verdict_of([(segments, intervals)], case.config))})
     texts = {f"{name}-to-repeat.csv": intervals.to_csv(index=False, float_format="%.6g")}
     if len(intervals):
         rows = [(f"{begin:.1f}", f"{end:.1f}", reason) for begin, end, reason in intervals.itertuples(index=False)]
@@ -260,7 +260,7 @@ def draw_log(log: Log, path: Path) -> Path:
     """Draw a log: one row per channel, over time on the left and over inserted length on the right."""
     from matplotlib.figure import Figure
 
-    from probe_agents.records.drawing import BLUE, GRID, save
+    from probe_agents.records.drawing import BLUE, save
 
     figure = Figure(figsize=(10.0, 1.0 + 1.6 * len(log.channels)), layout="constrained")
     axes = figure.subplots(len(log.channels), 2, sharex="col", sharey="row", squeeze=False)
@@ -269,7 +269,6 @@ def draw_log(log: Log, path: Path) -> Path:
         style = "default" if name == "inserted_length" else "steps-post"
         for axis, where in ((left, log.time), (right, log.inserted_length)):
             axis.plot(where, column, color=BLUE, linewidth=1.0, drawstyle=style)
-            axis.grid(**GRID)
     axes[-1][0].set_xlabel("time [s]")
     axes[-1][1].set_xlabel("inserted length [m]")
     return save(figure, path)

@@ -7,7 +7,6 @@ import io
 from collections.abc import Iterable
 from itertools import cycle
 from pathlib import Path
-from typing import Any
 
 import matplotlib
 
@@ -20,7 +19,6 @@ from matplotlib.figure import Figure
 from probe_agents.records.atomic import write_atomically
 
 MM = 1e3
-GRID: dict[str, Any] = {"color": "0.9", "linewidth": 0.8}
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#222222", "#8a8a8a")
 """Colour-blind safe palette of Okabe and Ito."""
 BLUE, RED, GREY = "#1f5fa8", "#c0392b", "0.45"
@@ -29,7 +27,7 @@ BLUE, RED, GREY = "#1f5fa8", "#c0392b", "0.45"
 def picture(figure: Figure, dpi: int = 110, kind: str = "png", grid: bool = True) -> bytes:
     """A figure as a file of a kind of picture, with grid lines in all axes; the figure is closed."""
     for axis in figure.axes if grid else ():
-        axis.grid(**GRID)
+        axis.grid(color="0.9", linewidth=0.8)
     buffer = io.BytesIO()
     figure.savefig(buffer, dpi=dpi, format=kind)
     plt.close(figure)
