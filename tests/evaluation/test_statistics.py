@@ -106,6 +106,7 @@ def test_the_share_of_the_planners_lead():
     assert statistics.fraction_of_lead(table, "mine").mean == pytest.approx(9.5 / 18.0)
     assert any("over best-schedule 52.8 [" in line for line in statistics.comparison_lines(table, "best-schedule"))
     assert statistics.fraction_of_lead(table[table["context"] == 0], "mine").text(100.0) == "50"
+    assert statistics.Interval(2.0, 2.0, 2.0).text() == "2"
     with pytest.raises(ValueError, match="same contexts"):
         statistics.fraction_of_lead(table[(table["policy"] != "mine") | (table["context"] > 0)], "mine")
 
