@@ -54,7 +54,7 @@ class Model(BaseModel):
 
     @classmethod
     def from_toml(cls, path: str | Path) -> Self:
-        """Read a TOML file.
+        """Read a TOML file; paths in it are relative to its folder, the "folder" of the validation's context.
 
         Raises:
             FileNotFoundError: no such file.
@@ -62,7 +62,7 @@ class Model(BaseModel):
         """
         data = read_toml(path)
         with errors_in(path):
-            return cls.model_validate(tuples(data))
+            return cls.model_validate(tuples(data), context={"folder": Path(path).parent})
 
     __str__ = BaseModel.__repr__
 

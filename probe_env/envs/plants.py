@@ -9,21 +9,28 @@ import json
 import math
 import warnings
 from collections.abc import Mapping, Sequence
-from contextlib import nullcontext
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Self
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import AfterValidator, BeforeValidator, Field, FiniteFloat, ValidationError, model_validator
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    Field,
+    FiniteFloat,
+    ValidationError,
+    ValidationInfo,
+    model_validator,
+)  # fmt: skip
 from scipy.optimize import linear_sum_assignment
 from scipy.stats import qmc, truncnorm
 
 from probe_env.arrays import FloatArray
 from probe_env.envs.contexts import Context
 from probe_env.envs.task import VISIBLE_FIELDS, TaskConfig, ungrouped
-from probe_env.files import MEBI, FileError, read_bytes, read_toml
+from probe_env.files import MEBI, FileError, read_bytes
 from probe_env.inspection.instrument import Instrument
 from probe_env.inspection.sensor import Sensor
 from probe_env.physics.closed_forms.route import Route, min_air, one_helix, required_root_tension, route_forces
@@ -82,33 +89,27 @@ def middle(figure: Figure, low: float, high: float) -> float:
     return float(quantiles(figure, 0.5, low, high))
 
 
-FRICTION, STIFFNESS, DRAG = (0.0, 1.0), (1e2, 1e8), (0.0, 10.0)
+FRICTION, STIFFNESS, DRAG, DAMPING = (0.0, 1.0), (1e2, 1e8), (0.0, 10.0), (0.0, 1.0)
 """Accepted range of each uncertain quantity, in the units of its field."""
 
 
 class _Figure(Quantity):
     """Accepted range of a figure (of the mean of a normal one) or of each number of a list."""
 
-    name = "value"
-
     def check(self, value: Any) -> Any:
-        named = [(self.name, number) for number in (value if isinstance(value, tuple) else (value,))]
+        named = [("", number) for number in (value if isinstance(value, tuple) else (value,))]
         if isinstance(value, Between | Normal):
-            named = [(name, number) for name, number in value.model_dump().items() if name != "std"]
+            named = list(value.model_dump(exclude={"std"}).items())
         for name, number in named:
             within(name, number, self.low, self.high, self.unit)
         return value
-
-
-class _Diameters(_Figure):
-    name = "helix_diameter"
 
 
 class Tubes(Model):
     """Tubes of a plant: one bore, one length, and one or more helix diameters."""
 
     helix_diameter: Annotated[
-        float | Annotated[tuple[float, ...], Field(min_length=1, max_length=1000)], _Diameters(0.3, 50.0, "m")
+        float | Annotated[tuple[float, ...], Field(min_length=1, max_length=1000)], _Figure(0.3, 50.0, "m")
     ] = Tube().helix_diameter
     """Helix diameter of the tube axis [m], a number or a list."""
     inner_diameter: Annotated[float, range_of(Tube, "inner_diameter")] = Tube().inner_diameter
@@ -224,13 +225,13 @@ Draws = Annotated[tuple[FiniteFloat, ...], Field(min_length=1, max_length=MAX_DR
 class Posterior(Model):
     """Joint posterior draws of a calibration, equally likely; the k-th values of all quantities form one draw."""
 
-    friction: Draws | None = None
+    friction: Annotated[Draws, _Figure(*FRICTION, "")] | None = None
     """[-]."""
-    contact_stiffness: Draws | None = None
+    contact_stiffness: Annotated[Draws, _Figure(*STIFFNESS, "N/m")] | None = None
     """[N/m]."""
-    drag_coefficient: Draws | None = None
+    drag_coefficient: Annotated[Draws, _Figure(*DRAG, "")] | None = None
     """[-]."""
-    damping_time: Draws | None = None
+    damping_time: Annotated[Draws, _Figure(*DAMPING, "s")] | None = None
     """[s]."""
     misspecified: bool = Field(default=False, exclude=True)
     """Whether the model does not fit the logs of the calibration with any parameters."""
@@ -281,24 +282,14 @@ class Posterior(Model):
         return float(np.median(self.draws[name]))
 
 
-def check_draws(posterior: Posterior | None, file: Path | None = None) -> None:
-    """Raise ValueError (FileError with a file) if draws are outside the accepted range of their quantity."""
-    ranges = {"friction": FRICTION, "contact_stiffness": STIFFNESS, "drag_coefficient": DRAG}
-    for name, draws in posterior.draws.items() if posterior else ():
-        low, high = ranges.get(name, (0.0, 1.0))
-        for value in (draws.min(), draws.max()):
-            with errors_in(file) if file else nullcontext():
-                within(f"draws.{name}" if file else f"posterior.draws.{name}", float(value), low, high, "")
-
-
-def with_posterior(plant: Mapping[str, Any], folder: Path | None = None) -> dict[str, Any]:
-    """Tables of a plant with the draws of ``posterior = "calibration.json"``, relative to ``folder`` or here."""
-    tables, file = dict(plant), plant.get("posterior")
-    if isinstance(file, str | Path):
-        path = (folder or Path()) / file
-        tables["posterior"] = Posterior.read(path)
-        check_draws(tables["posterior"], path)
-    return tables
+def _posterior_of(source: Any, info: ValidationInfo) -> Any:
+    """The draws of a ``calibration.json``, relative to the "folder" of the context or here."""
+    if not isinstance(source, str | Path):
+        return source
+    try:
+        return Posterior.read((info.context or {}).get("folder", Path()) / source)
+    except FileNotFoundError as error:
+        raise ValueError(f"no such file: {error.filename}") from error
 
 
 MAX_TUBES: Final = 4096
@@ -321,7 +312,7 @@ class Plant(Model):
     sensor: Sensor = Sensor()
     task: Annotated[dict[str, Any], BeforeValidator(ungrouped)] = Field(default_factory=dict)
     """Fields of ``TaskConfig``, by themselves or in tables of its groups."""
-    posterior: Posterior | None = None
+    posterior: Annotated[Posterior | None, BeforeValidator(_posterior_of)] = None
     """Draws of a calibration, which replace the figures of the same quantities; in a file the path to them."""
     route: Annotated[Route, AfterValidator(one_helix)] = ()
     """Segments from the feed device to the end of the tube, one of them the helix; the task's ``required_tension``
@@ -331,23 +322,10 @@ class Plant(Model):
     bundle: Bundle | None = None
     """Bundle of tubes whose hours are reported; None: no hours."""
 
-    @classmethod
-    def from_toml(cls, path: str | Path) -> Self:
-        """Read the file of a plant and of its calibration, if it names one; raises as ``Model.from_toml``."""
-        data = read_toml(path)
-        try:
-            tables = with_posterior(data, Path(path).parent)
-        except FileNotFoundError as error:
-            raise FileError(path, f"posterior: no such file: {error.filename}") from error
-        except FileError as error:
-            raise FileError(path, f"posterior: {error}") from error
-        with errors_in(path):
-            return cls.model_validate(tables)
-
     @model_validator(mode="before")
     @classmethod
     def _takes_lists(cls, plant: Any) -> Any:
-        return tuples(with_posterior(plant)) if isinstance(plant, Mapping) else plant
+        return tuples(plant) if isinstance(plant, Mapping) else plant
 
     @model_validator(mode="after")
     def _is_possible(self) -> Self:
@@ -360,7 +338,6 @@ class Plant(Model):
             if name in misplaced or name in VISIBLE_FIELDS:
                 reason = f"belongs in [{misplaced[name]}]" if name in misplaced else "is set by the policy"
                 raise ValueError(f"task.{name}: {reason}")
-        check_draws(self.posterior)
         minimum, maximum = self._drag_factors(np.array([RARE, 1.0 - RARE]))
         low, high = FACTORS
         if not low <= minimum <= maximum <= high:
@@ -388,7 +365,7 @@ class Plant(Model):
             "friction": (self.contact.friction, *FRICTION),
             "contact_stiffness": (self.contact.stiffness, *STIFFNESS),
             "drag_coefficient": (self.air.drag_coefficient, *DRAG),
-            "damping_time": (self.probe.damping_time, 0.0, 1.0),
+            "damping_time": (self.probe.damping_time, *DAMPING),
         }
         return middle(*figures[name])
 

@@ -163,7 +163,7 @@ def test_passes_and_what_is_scored():
 
 def test_a_file_that_is_not_valid_or_not_there_is_named(tmp_path, refused):
     (tmp_path / "broken.toml").write_text("[contact]\nfriction = 2.0\n")
-    message = "broken.toml: contact.friction: value = 2.0 is outside the accepted range 0 to 1"
+    message = "broken.toml: contact.friction: 2.0 is outside the accepted range 0 to 1"
     refused(["evaluate", "constant", "--tube", "broken.toml"], message)
     assert read_case(Path("example"), "test", 3).config.scene.tube.helix_length == 45.0
     with pytest.raises(FileNotFoundError) as missing:

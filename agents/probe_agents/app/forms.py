@@ -14,9 +14,8 @@ from pydantic import ValidationError
 
 from probe_agents.records.atomic import write_atomically
 from probe_agents.records.shipped import file_or_shipped, ships
-from probe_agents.terminal.messages import format_error
 from probe_env import Plant
-from probe_env.envs.plants import OF_AIR, OF_FEED, Between, supply_in_si, supply_per_hour, with_posterior
+from probe_env.envs.plants import OF_AIR, OF_FEED, Between, supply_in_si, supply_per_hour
 from probe_env.envs.task import VISIBLE_FIELDS, TaskConfig
 from probe_env.files import FileError, read_toml
 from probe_env.settings import Model, Range, explain, is_number, range_of
@@ -302,9 +301,7 @@ class TubeForm:
         tables = {key: value for key, value in self.tables.items() if key != name}
         tables |= {name: content} if content else {}
         try:
-            self.plant = Plant.model_validate(with_posterior(tables, self._folder))
+            self.plant = Plant.model_validate(tables, context={"folder": self._folder})
         except ValidationError as error:
             raise ValueError(explain(error)) from error
-        except FileNotFoundError as error:
-            raise ValueError(format_error(error)) from error
         self.tables = tables
