@@ -15,15 +15,10 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
 from probe_env.arrays import FloatArray
-from probe_env.envs.contexts import Context
 from probe_env.envs.episodes import Episodes
 from probe_env.envs.episodes.actions import step_action
-from probe_env.envs.episodes.limits import check_fidelity, check_start
-from probe_env.envs.episodes.predicted import check_task, check_tube
-from probe_env.envs.episodes.starts import EpisodeSampler, EpisodeSettings
+from probe_env.envs.episodes.starts import EpisodeSettings
 from probe_env.envs.task import TaskConfig
-from probe_env.envs.vibration_map import VibrationMap, stored_map
-from probe_env.fidelity import Fidelity
 from probe_env.settings import Model, one_line_errors
 
 if TYPE_CHECKING:
@@ -31,31 +26,6 @@ if TYPE_CHECKING:
 
 Observation = npt.NDArray[np.float32]
 RENDER_MODES = ("rgb_array", "human")
-
-
-def check_tubes(
-    sampler: EpisodeSampler, contexts: Sequence[Context], fidelity: Fidelity, vibration: VibrationMap | None = None
-) -> None:
-    """Raise ValueError if an episode of the scene's probe cannot begin in one of the tubes; nothing is simulated.
-
-    Args:
-        sampler: of the episodes.
-        contexts: the tubes.
-        fidelity: of the episodes.
-        vibration: map of the surrogate; default: the shipped one.
-    """
-    config, vibration = sampler.config, vibration or stored_map()
-    config.action(sampler.feed_speed, sampler.air_supply_rate)  # raises if out of the task's range
-    if fidelity.simulates:
-        check_fidelity(fidelity, config)
-    else:
-        check_task(config, sampler.probes, vibration)
-    for context in contexts:
-        scene = sampler.build(context, {})
-        if fidelity.simulates:
-            check_start(scene, fidelity, config)
-        else:
-            check_tube(context, scene, vibration)
 
 
 def spaces_of(config: TaskConfig) -> tuple[gym.spaces.Box, gym.spaces.Box]:

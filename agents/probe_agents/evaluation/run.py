@@ -23,11 +23,11 @@ from probe_agents.policies.wrappers import RoundTripPolicy, SpeedLimited
 from probe_agents.records.manifest import write_json
 from probe_agents.terminal.tables import print_line, print_table
 from probe_env.envs.contexts import Split
-from probe_env.envs.env import check_tubes
-from probe_env.envs.episodes.starts import EpisodeSampler, Probes, settling_inputs
+from probe_env.envs.episodes import Episodes
+from probe_env.envs.episodes.starts import Probes
 from probe_env.envs.task import ScoredPass
 from probe_env.envs.trials import PlanningPolicy
-from probe_env.fidelity import Fidelity, resolve_fidelity
+from probe_env.fidelity import Fidelity
 from probe_env.settings import explain
 
 
@@ -98,17 +98,15 @@ def plan_of(
             name: policy if name in as_written or isinstance(policy, PlanningPolicy) else SpeedLimited(config, policy)
             for name, policy in policies.items()
         }
-    sampler = EpisodeSampler(config, case.contexts, probes, *settling_inputs(config, {}))
-    chosen = resolve_fidelity(fidelity, sampler.stiffest, config.growing, config.returns)
-    bundle = case.plant.bundle_for(config) if case.plant else None
-    plan = Plan(policies, case.contexts, range(seeds), config, chosen, probes, case.vibration, bundle)
-    if plan.probes == "random":  # drawn when an episode starts
-        return plan
     try:
-        check_tubes(sampler, case.contexts, chosen, case.vibration)
+        episodes = Episodes(
+            1, config, contexts=case.contexts, probes=probes, fidelity=fidelity, surrogate_map=case.vibration
+        )
+        episodes.check(case.contexts if probes == "scene" else ())  # others are drawn when an episode starts
     except ValueError as error:
         raise ValueError(f"{case.plant_label.name}: {explain(error)}") from error
-    return plan
+    bundle = case.plant.bundle_for(config) if case.plant else None
+    return Plan(policies, case.contexts, range(seeds), config, episodes.fidelity, probes, case.vibration, bundle)
 
 
 def evaluate_plan(

@@ -22,8 +22,7 @@ from probe_agents.policies.policy import OutsideDomain, Policy
 from probe_agents.policies.wrappers import RoundTripPolicy
 from probe_agents.studies.spec import Changes, Study
 from probe_env import Plant
-from probe_env.envs.env import check_tubes
-from probe_env.envs.episodes.starts import EpisodeSampler, settling_inputs
+from probe_env.envs.episodes import Episodes
 from probe_env.envs.task import TaskConfig
 from probe_env.fidelity import Fidelity, resolve_fidelity
 from probe_env.machine import available_cores
@@ -92,8 +91,7 @@ def _setting(study: Study, fidelity: str, changes: Changes) -> Setting:
             accuracy = resolve_fidelity(accuracy.model_copy(update=update), config.scene, round_trip=config.returns)
         policy_config = config if study.policies_know == "varied task" else unvaried
         policies, members = _policies(study, policy_config, case, plant)
-        sampler = EpisodeSampler(config, case.contexts, "scene", *settling_inputs(config, {}))
-        check_tubes(sampler, case.contexts, accuracy, case.vibration)
+        Episodes(1, config, fidelity=accuracy, surrogate_map=case.vibration).check(case.contexts)
     except (ValueError, TypeError) as error:
         where = ", ".join(f"{name} = {value!r}" for name, value in (study.set | changes).items())
         raise ValueError(f"{where}: {explain(error)}" if where else explain(error)) from error

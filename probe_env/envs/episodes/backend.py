@@ -9,7 +9,7 @@ import numpy as np
 
 from probe_env.arrays import BoolArray, FloatArray, rows_of
 from probe_env.envs.contexts import Context
-from probe_env.envs.episodes.limits import check_fidelity, check_start
+from probe_env.envs.episodes.limits import check_fidelity, check_simulable
 from probe_env.envs.task import TaskConfig, air_used
 from probe_env.envs.task.observations import normal_draws
 from probe_env.fidelity import Fidelity
@@ -142,7 +142,8 @@ class Simulated(Backend):
 
     def check(self, context: Context, scene: Scene) -> None:
         """See ``Backend.check``."""
-        check_start(scene, self.fidelity, self.config)
+        max_length = scene.tube.helix_length if self.config.growing else scene.inserted_length
+        check_simulable(scene, self.fidelity, max_length, self.config.air_supply_rates[1])
 
     def begin(self, k: int, context: Context, scene: Scene, rng: np.random.Generator) -> None:
         """See ``Backend.begin``."""

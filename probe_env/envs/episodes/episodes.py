@@ -6,7 +6,7 @@ Environments wrap this class. A single environment is a batch of one, so N envir
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple, Unpack
 
@@ -143,6 +143,11 @@ class Episodes:
         if not isinstance(self.backend, Simulated):
             raise ValueError("fidelity = 'surrogate' simulates no motion, which is needed here: use fast or finer")
         return self.backend
+
+    def check(self, tubes: Iterable[Context]) -> None:
+        """Raise ValueError if an episode of the scene's probe cannot begin in one of the tubes; nothing is changed."""
+        for context in tubes:
+            self.backend.check(context, self.sampler.build(context, {}))
 
     def branch(self, which: Sequence[int]) -> Episodes:
         """Copies of the episodes ``which`` in their current state, for planning; an index may occur more than once.

@@ -51,12 +51,6 @@ def check_fidelity(fidelity: Fidelity, config: TaskConfig) -> None:
         whole_steps("config.period", config.period, fidelity.time_step)
 
 
-def check_start(scene: Scene, fidelity: Fidelity, config: TaskConfig) -> None:
-    """Raise ValueError if an episode of a task cannot begin in a scene, as ``EpisodeSampler.build`` makes it."""
-    max_length = scene.tube.helix_length if config.growing else scene.inserted_length
-    check_simulable(scene, fidelity, max_length, config.air_supply_rates[1])
-
-
 def check_simulable(scene: Scene, fidelity: Fidelity, max_length: float, max_air: float) -> None:
     """Raise ValueError if a fidelity cannot simulate an episode that begins at rest in a scene.
 

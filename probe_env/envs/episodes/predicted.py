@@ -131,7 +131,14 @@ class Predicted(Backend):
 
     def check(self, context: Context, scene: Scene) -> None:
         """See ``Backend.check``."""
-        check_tube(context, scene, self.map)
+        if scene.probe != self.map.scene.probe:
+            raise ValueError("probe: the map is of another probe; simulate with fidelity fast or finer")
+        for name, low, high in zip(CONTEXT, *self.map.ranges, strict=True):
+            if not low - 1e-9 <= getattr(context, name) <= high + 1e-9:
+                raise ValueError(
+                    f"{name} = {getattr(context, name):g} is outside the map's range {low:g} to {high:g}: simulate with"
+                    " fidelity fast or finer"
+                )
 
     def begin(self, k: int, context: Context, scene: Scene, rng: np.random.Generator) -> None:
         """See ``Backend.begin``."""
@@ -198,19 +205,6 @@ class Predicted(Backend):
             statistics["noise_to_signal"] = statistics["radial_rms_m"] / one
         state = self.length.copy(), self.feed.copy(), self.air.copy()
         return Window(statistics, *state, diverged=np.zeros(len(normal), dtype=bool))
-
-
-def check_tube(context: Context, scene: Scene, vibration: VibrationMap) -> None:
-    """Raise ValueError if a map does not cover the tube and probe of an episode."""
-    if scene.probe != vibration.scene.probe:
-        raise ValueError("probe: the map is of another probe; simulate with fidelity fast or finer")
-    low, high = vibration.ranges
-    for k, name in enumerate(CONTEXT):
-        if not low[k] - 1e-9 <= getattr(context, name) <= high[k] + 1e-9:
-            raise ValueError(
-                f"{name} = {getattr(context, name):g} is outside the map's range {low[k]:g} to {high[k]:g}:"
-                " simulate with fidelity fast or finer"
-            )
 
 
 def check_task(config: TaskConfig, probes: str, vibration: VibrationMap) -> None:
