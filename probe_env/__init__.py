@@ -20,7 +20,7 @@ ensure_kernel_cache()  # before anything imports a kernel
 from probe_env.design import Design
 from probe_env.envs.contexts import Context, load_contexts, spread_contexts
 from probe_env.envs.plants import Plant
-from probe_env.envs.task import TaskConfig
+from probe_env.envs.task.config import TaskConfig
 from probe_env.errors import SimulationError, StabilityWarning
 from probe_env.fidelity import Fidelity, FidelityChoice, choose_fidelity, resolve_fidelity
 from probe_env.physics.simulation.batch import SimulatorBatch

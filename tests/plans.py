@@ -3,7 +3,7 @@
 from probe_agents.evaluation.plan import Plan
 from probe_agents.policies.fixed import Constant
 from probe_env import Fidelity, load_contexts
-from probe_env.envs.task import TaskConfig
+from probe_env.envs.task.config import TaskConfig
 
 CONFIG = TaskConfig(growing=False, period=0.1, time_limit=0.3, settle_time=0.1)
 

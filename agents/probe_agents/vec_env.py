@@ -17,7 +17,7 @@ from probe_env.envs.env import (
     SnapshotVectorEnv,
 )
 from probe_env.envs.episodes.starts import EpisodeSettings
-from probe_env.envs.task import TaskConfig
+from probe_env.envs.task.config import TaskConfig
 
 __all__ = ["ProbeVecEnv"]
 EnvId = Literal[

@@ -19,8 +19,8 @@ from probe_env.envs.episodes.starts import (
     sample_context,
     settling_inputs,
 )
-from probe_env.envs.task import TaskConfig, action_of, as_actions, fraction_of
-from probe_env.envs.task.scales import OBSERVATIONS, PRIVILEGED, UNITS
+from probe_env.envs.task.config import TaskConfig
+from probe_env.envs.task.scales import OBSERVATIONS, PRIVILEGED, UNITS, action_of, as_actions, fraction_of
 from probe_env.envs.trials import (
     HARDEST,
     Candidate,

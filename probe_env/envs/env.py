@@ -18,7 +18,7 @@ from probe_env.arrays import FloatArray
 from probe_env.envs.episodes import Episodes
 from probe_env.envs.episodes.actions import step_action
 from probe_env.envs.episodes.starts import EpisodeSettings
-from probe_env.envs.task import TaskConfig
+from probe_env.envs.task.config import TaskConfig
 from probe_env.settings import Model, one_line_errors
 
 if TYPE_CHECKING:
@@ -192,7 +192,7 @@ class InsertionEnv(ProbeEnv):
     The sum of `info["reward_terms"]`: progress (1 per metre), vibration (-(rms / 0.1 mm)^2 per metre, the ratio up
     to 3), time (-0.1 per second), air (-0.2 per m3), jerk (-0.005 times the squared change of the action),
     uninspected (per metre that is not inspected when the episode ends, the largest cost of inspecting a metre plus
-    its progress), diverged (-10). Weights are fields of `probe_env.envs.task.TaskConfig`.
+    its progress), diverged (-10). Weights are fields of `probe_env.TaskConfig`.
 
     `info["cost"]` is separate from the reward. It is the sum of `info["cost_terms"]`, each 0 or 1 per period:
     lost_drive (tension too low to drive, see Episode End), tension (above `tension_limit`, default 110 N), buckling

@@ -29,7 +29,7 @@ from scipy.stats import qmc, truncnorm
 
 from probe_env.arrays import FloatArray
 from probe_env.envs.contexts import Context
-from probe_env.envs.task import VISIBLE_FIELDS, TaskConfig, ungrouped
+from probe_env.envs.task.config import VISIBLE_FIELDS, TaskConfig, ungrouped
 from probe_env.files import MEBI, FileError, read_bytes
 from probe_env.inspection.instrument import Instrument
 from probe_env.inspection.sensor import Sensor

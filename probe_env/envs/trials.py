@@ -19,7 +19,8 @@ from probe_env.envs.contexts import Context
 from probe_env.envs.episodes import Episodes, Step
 from probe_env.envs.episodes.limits import check_simulable
 from probe_env.envs.episodes.starts import EpisodeSampler, settling_inputs
-from probe_env.envs.task import FAILURES, TaskConfig, capped_square, drive_counts, reward_terms, slack
+from probe_env.envs.task.config import TaskConfig
+from probe_env.envs.task.rules import FAILURES, capped_square, drive_counts, reward_terms, slack
 from probe_env.fidelity import Fidelity
 from probe_env.inspection.snr import SPAN, SnrEstimator
 from probe_env.physics.simulation.batch import SimulatorBatch

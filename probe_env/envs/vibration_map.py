@@ -19,7 +19,8 @@ import numpy as np
 
 from probe_env.arrays import FloatArray
 from probe_env.envs.contexts import DRAG_FACTOR, FRICTION, HELIX_DIAMETERS, STIFFNESS
-from probe_env.envs.task import TaskConfig, capped_square, metre_cost
+from probe_env.envs.task.config import TaskConfig
+from probe_env.envs.task.rules import capped_square, metre_cost
 from probe_env.files import FileError, read_arrays
 from probe_env.physics.closed_forms import drag_per_metre
 from probe_env.physics.model.chain import air_speed

@@ -16,7 +16,7 @@ from probe_agents.policies.catalogue import DATA
 from probe_agents.records.shipped import file_or_shipped, shipped_names
 from probe_agents.studies.searches import MapCost
 from probe_env import Plant
-from probe_env.envs.task import TaskConfig
+from probe_env.envs.task.config import TaskConfig
 from probe_env.files import FileError
 from probe_env.schedule import Schedule
 

@@ -15,7 +15,7 @@ from probe_agents.studies.compare import write_comparison
 from probe_agents.studies.run import expand, run_study
 from probe_agents.studies.spec import Study
 from probe_env import Context, Design, load_contexts
-from probe_env.envs.task import TaskConfig
+from probe_env.envs.task.config import TaskConfig
 
 
 def evaluate(folder):

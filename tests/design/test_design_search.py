@@ -11,7 +11,7 @@ from probe_agents.design.search import best_of, search, sensitivity, trials_tabl
 from probe_agents.design.trials import OBJECTIVES, DesignProblem, DesignTrials
 from probe_env import Context, Design, Fidelity
 from probe_env.design import RANGES
-from probe_env.envs.task import TaskConfig
+from probe_env.envs.task.config import TaskConfig
 from probe_env.fidelity import PRESETS
 
 SPAN = 47.5  # [m] of the study's helix

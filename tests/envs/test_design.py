@@ -12,7 +12,7 @@ from probe_agents.policies.fixed import Constant
 from probe_env import Context, Design, Fidelity, Scene, TaskConfig
 from probe_env.design import RANGES
 from probe_env.envs.design_env import STUDY_FEED, DesignEnv
-from probe_env.envs.task import uninspected_weight
+from probe_env.envs.task.rules import uninspected_weight
 from probe_env.envs.trials import Candidate, Trial, score_designs, try_insertions, try_sections
 from probe_env.schedule import Schedule
 

@@ -10,8 +10,8 @@ from probe_env import Context, TaskConfig
 from probe_env.envs.episodes import Episodes
 from probe_env.envs.episodes.backend import StepRecord
 from probe_env.envs.episodes.scoring import RoundTripScorer
-from probe_env.envs.task import uninspected_weight
 from probe_env.envs.task.observations import in_si_units
+from probe_env.envs.task.rules import uninspected_weight
 from probe_env.fidelity import resolve_fidelity
 from probe_env.files import FileError
 from probe_env.inspection.metrics import TURN

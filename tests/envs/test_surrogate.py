@@ -15,7 +15,7 @@ from probe_agents.vec_env import ProbeVecEnv
 from probe_env import Context
 from probe_env.envs.episodes import Episodes
 from probe_env.envs.episodes.predicted import Noise, Predicted, RandomField, Scatter
-from probe_env.envs.task import TaskConfig
+from probe_env.envs.task.config import TaskConfig
 from probe_env.envs.vibration_map import stored_map
 from probe_env.fidelity import PRESETS, Fidelity
 from probe_env.physics.closed_forms import sliding_tension

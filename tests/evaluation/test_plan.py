@@ -18,7 +18,7 @@ from probe_agents.policies.fixed import Constant
 from probe_agents.terminal.work import Work
 from probe_env import Context, Scene, load_contexts
 from probe_env.design import RANGES
-from probe_env.envs.task import TaskConfig
+from probe_env.envs.task.config import TaskConfig
 from probe_env.envs.vibration_map import stored_map
 from probe_env.fidelity import PRESETS, ROUND_TRIP_PRESETS
 

@@ -22,7 +22,7 @@ from probe_agents.evaluation.statistics import grouped, ranking
 from probe_agents.policies.catalogue import named_policies
 from probe_agents.policies.fixed import PI, Constant, Scheduled
 from probe_env.envs.plants import Bundle
-from probe_env.envs.task import TaskConfig
+from probe_env.envs.task.config import TaskConfig
 from probe_env.fidelity import ROUND_TRIP_PRESETS
 from probe_env.schedule import Schedule
 

@@ -15,7 +15,7 @@ from probe_agents.evaluation.kpis import CORE, HIGH, KPIS
 from probe_agents.evaluation.signal import draw_curves
 from probe_env import Context
 from probe_env.envs.plants import Bundle
-from probe_env.envs.task import ENDINGS
+from probe_env.envs.task.rules import ENDINGS
 from probe_env.inspection.detection import DEPTHS, depth_found, pod_gaussian, snr_at
 from probe_env.inspection.metrics import POD_NAMES
 from probe_env.inspection.sensor import Sensor

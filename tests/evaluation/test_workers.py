@@ -16,7 +16,7 @@ from probe_agents.evaluation.plan import Plan, run_plan
 from probe_agents.evaluation.workers import Workers
 from probe_agents.policies.fixed import Constant
 from probe_env import Context, Design, load_contexts
-from probe_env.envs.task import TaskConfig
+from probe_env.envs.task.config import TaskConfig
 
 ROOT = Path(__file__).parents[2]
 CONFIG = TaskConfig(growing=False, period=0.1, time_limit=0.3, settle_time=0.1)

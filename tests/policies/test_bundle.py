@@ -16,7 +16,7 @@ from probe_agents.policies.catalogue import make_policy
 from probe_agents.policies.trained import read_weights
 from probe_agents.policies.view import View
 from probe_agents.vec_env import ProbeVecEnv
-from probe_env.envs.task import TaskConfig
+from probe_env.envs.task.config import TaskConfig
 from probe_env.envs.task.scales import OBSERVATIONS
 
 TASK = TaskConfig()

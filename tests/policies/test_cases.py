@@ -12,7 +12,7 @@ from probe_agents.policies.on_map import MIN_AIR, best_schedule_for, knots, min_
 from probe_agents.policies.policy import Domain, OutsideDomain, ranges_of
 from probe_env import Context, Plant, Scene
 from probe_env.envs.plants import map_file
-from probe_env.envs.task import TaskConfig
+from probe_env.envs.task.config import TaskConfig
 from probe_env.envs.vibration_map import VibrationMap, equivalent_air, stored_map
 from probe_env.physics.closed_forms import steady_root_tension
 

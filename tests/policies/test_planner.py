@@ -13,7 +13,8 @@ from probe_agents.policies.on_map import best_schedule_for, knots
 from probe_agents.policies.planner import BLUR, InsertionPlanner, InspectionPlanner, remaining_reward, reward_of_holding
 from probe_env import Context, Scene
 from probe_env.envs.episodes import Episodes
-from probe_env.envs.task import TaskConfig, uninspected_weight
+from probe_env.envs.task.config import TaskConfig
+from probe_env.envs.task.rules import uninspected_weight
 from probe_env.envs.vibration_map import CONTEXT, expected_cost, stored_map
 from probe_env.fidelity import ROUND_TRIP_PRESETS, resolve_fidelity
 

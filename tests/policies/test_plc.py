@@ -16,7 +16,7 @@ from probe_agents.policies.plc_law import Constants, PlantData, PlcIntegral, Plc
 from probe_agents.policies.policy import OutsideDomain
 from probe_env import Plant
 from probe_env.envs.plants import Posterior, Supply, Tubes
-from probe_env.envs.task import TaskConfig
+from probe_env.envs.task.config import TaskConfig
 from probe_env.files import FileError
 from probe_env.inspection.sensor import BAND, ENERGY, Sensor
 from probe_env.physics.closed_forms import sliding_tension

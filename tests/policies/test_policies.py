@@ -10,7 +10,7 @@ import pytest
 from probe_agents.policies.catalogue import NAMES, make_policy, name_and_spec, named_policies, user_policies
 from probe_agents.policies.fixed import PI, Constant, OnOff, SlowDown
 from probe_agents.training.config import Training
-from probe_env.envs.task import TaskConfig
+from probe_env.envs.task.config import TaskConfig
 
 CONFIG = TaskConfig(privileged=True)
 

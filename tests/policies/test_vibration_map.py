@@ -16,7 +16,7 @@ from probe_agents.studies.vibration_map import Wandering, fit_map
 from probe_env import Context, Plant, Scene, load_contexts
 from probe_env.design import RANGES
 from probe_env.envs import vibration_map
-from probe_env.envs.task import TaskConfig
+from probe_env.envs.task.config import TaskConfig
 from probe_env.envs.vibration_map import CONTEXT, VibrationMap, expected_cost, features_of, rms_limit, stored_map
 from probe_env.files import FileError
 from probe_env.physics.closed_forms import MEASURED, SHAPE, friction_from_tension, steady_root_tension

@@ -19,7 +19,7 @@ from probe_agents.policies.fixed import Constant
 from probe_agents.training.config import Training
 from probe_agents.training.train import BEST, train_all
 from probe_env import Context, Design, Fidelity, load_contexts
-from probe_env.envs.task import TaskConfig
+from probe_env.envs.task.config import TaskConfig
 
 ROOT = Path(__file__).parents[2]
 CONFIG = TaskConfig(growing=False, period=0.1, time_limit=0.3, settle_time=0.1)

@@ -31,7 +31,7 @@ from probe_agents.records.result_folder import Journal
 from probe_agents.records.searches import open_study
 from probe_agents.records.tables import read_csv, read_parquet
 from probe_env import Scene
-from probe_env.envs.task import TaskConfig
+from probe_env.envs.task.config import TaskConfig
 from probe_env.envs.task.scales import OBSERVATIONS
 from probe_env.envs.vibration_map import STORED as MAP
 from probe_env.envs.vibration_map import VibrationMap

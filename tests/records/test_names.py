@@ -13,7 +13,7 @@ from probe_agents.policies.catalogue import name_and_spec, named_policies
 from probe_agents.policies.fixed import Constant
 from probe_agents.records.tables import read_csv
 from probe_agents.terminal.tables import print_table
-from probe_env.envs.task import TaskConfig
+from probe_env.envs.task.config import TaskConfig
 
 HEAD = "inserted_length_m,feed_speed_m_per_s,air_supply_m3_per_h\n"
 

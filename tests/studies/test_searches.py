@@ -18,7 +18,7 @@ from probe_agents.studies.searches import COLUMNS, ROUND_TRIP, MapCost, ranges
 from probe_env import Context, Plant, spread_contexts
 from probe_env.envs.contexts import HELIX_DIAMETERS
 from probe_env.envs.plants import FeedDevice, Supply, Tubes
-from probe_env.envs.task import TaskConfig
+from probe_env.envs.task.config import TaskConfig
 from probe_env.envs.vibration_map import stored_map
 from probe_env.files import FileError
 from probe_env.inspection.metrics import POD_NAMES

@@ -22,7 +22,7 @@ from probe_agents.studies.compare import _cell, baselines, compare, key_columns
 from probe_agents.studies.run import expand
 from probe_agents.studies.spec import Study
 from probe_env import load_contexts
-from probe_env.envs.task import TaskConfig
+from probe_env.envs.task.config import TaskConfig
 from probe_env.fidelity import PRESETS
 
 SHORT = """

@@ -31,7 +31,7 @@ from probe_agents.training.config import Training
 from probe_agents.training.train import BEST, CHECKPOINT, CURVE, DIGEST, RUN, VALIDATED, train_all
 from probe_env import Fidelity, Plant, load_contexts
 from probe_env.design import RANGES
-from probe_env.envs.task import TaskConfig
+from probe_env.envs.task.config import TaskConfig
 from probe_env.fidelity import ROUND_TRIP_PRESETS
 from probe_env.files import FileError
 

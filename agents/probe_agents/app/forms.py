@@ -16,7 +16,7 @@ from probe_agents.records.atomic import write_atomically
 from probe_agents.records.shipped import file_or_shipped, ships
 from probe_env import Plant
 from probe_env.envs.plants import OF_AIR, OF_FEED, Between, supply_in_si, supply_per_hour
-from probe_env.envs.task import VISIBLE_FIELDS, TaskConfig
+from probe_env.envs.task.config import VISIBLE_FIELDS, TaskConfig
 from probe_env.files import FileError, read_toml
 from probe_env.settings import Model, Range, explain, is_number, range_of
 

@@ -24,7 +24,7 @@ from probe_agents.policies.fixed import STUDY_AIR, STUDY_FEED
 from probe_agents.records.models import Stored
 from probe_env.arrays import BoolArray, FloatArray
 from probe_env.envs.pictures.strip import Motion
-from probe_env.envs.task import TaskConfig
+from probe_env.envs.task.config import TaskConfig
 from probe_env.inspection.channels import Flaw, Recording, along_flaw, channels, filtered, smoothed
 from probe_env.inspection.detection import snr_at, threshold
 from probe_env.inspection.sensor import Sensor

@@ -19,7 +19,8 @@ from probe_agents.policies.catalogue import BY_DIAMETER, STORED, is_schedule_fil
 from probe_agents.policies.fixed import FixedPolicy, Replayed
 from probe_agents.policies.on_map import FIRST
 from probe_env.arrays import FloatArray
-from probe_env.envs.task import TaskConfig, metre_reward
+from probe_env.envs.task.config import TaskConfig
+from probe_env.envs.task.rules import metre_reward
 from probe_env.envs.vibration_map import CONTEXT, expected_cost
 from probe_env.files import FileError
 from probe_env.schedule import AIR, CSV_COMMENT, FEED, Interpolation, Schedule

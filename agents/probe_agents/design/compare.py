@@ -22,7 +22,7 @@ from probe_agents.records.tables import Columns, read_csv
 from probe_agents.terminal.tables import print_table
 from probe_agents.terminal.work import Work, announce
 from probe_env import Design
-from probe_env.envs.task import FAILURES
+from probe_env.envs.task.rules import FAILURES
 from probe_env.envs.trials import check_candidate
 from probe_env.settings import explain
 

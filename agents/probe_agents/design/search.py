@@ -34,7 +34,8 @@ from probe_agents.terminal.tables import print_line, print_table
 from probe_agents.terminal.work import Work, announce
 from probe_env import Design
 from probe_env.design import RANGES
-from probe_env.envs.task import TaskConfig, reward_terms
+from probe_env.envs.task.config import TaskConfig
+from probe_env.envs.task.rules import reward_terms
 from probe_env.envs.trials import segment_of
 from probe_env.settings import within
 

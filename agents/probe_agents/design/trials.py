@@ -20,7 +20,7 @@ from probe_agents.policies.policy import Policy
 from probe_agents.records.result_folder import ResultFolder
 from probe_env import Context, Design, Fidelity
 from probe_env.design import RANGES, ranges_in
-from probe_env.envs.task import TaskConfig
+from probe_env.envs.task.config import TaskConfig
 from probe_env.envs.trials import (
     Candidate,
     check_candidate,

@@ -19,7 +19,7 @@ from probe_env.arrays import FloatArray
 from probe_env.envs.episodes import Episodes
 from probe_env.envs.pictures.strip import FRAME_PERIOD, SLOWED, Motion, Strip, Watch
 from probe_env.envs.pictures.strip import FRAMES_PER_SECOND as SLOW_FRAMES_PER_SECOND
-from probe_env.envs.task import VISIBLE_FIELDS
+from probe_env.envs.task.config import VISIBLE_FIELDS
 from probe_env.physics.simulation.signals import SAMPLE_PERIOD, dominant_frequencies
 from probe_env.settings import whole_steps, within
 

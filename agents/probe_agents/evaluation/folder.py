@@ -33,7 +33,8 @@ from probe_env import Context
 from probe_env.design import RANGES
 from probe_env.envs.episodes.starts import Probes
 from probe_env.envs.plants import Bundle
-from probe_env.envs.task import ENDINGS, TaskConfig
+from probe_env.envs.task.config import TaskConfig
+from probe_env.envs.task.rules import ENDINGS
 from probe_env.files import FileError
 from probe_env.inspection.metrics import POD_NAMES
 

@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 from typing import Final
 
-from probe_env.envs.task import COSTS
+from probe_env.envs.task.rules import COSTS
 
 Kpis = dict[str, tuple[str, float, str]]
 """Column -> name, factor and unit in tables."""

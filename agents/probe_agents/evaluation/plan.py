@@ -42,7 +42,7 @@ from probe_env.design import RANGES
 from probe_env.envs.episodes import Episodes, Step
 from probe_env.envs.episodes.starts import Probes
 from probe_env.envs.plants import Bundle
-from probe_env.envs.task import VISIBLE_FIELDS, TaskConfig, describe
+from probe_env.envs.task.config import VISIBLE_FIELDS, TaskConfig, describe
 from probe_env.envs.trials import PolicyBatch
 from probe_env.envs.vibration_map import VibrationMap, stored_map
 from probe_env.fidelity import PRESETS, measured_errors

@@ -12,7 +12,8 @@ import pandas as pd
 from probe_agents.policies.on_map import FIRST
 from probe_env import Context
 from probe_env.arrays import BoolArray, FloatArray
-from probe_env.envs.task import TaskConfig, slack
+from probe_env.envs.task.config import TaskConfig
+from probe_env.envs.task.rules import slack
 from probe_env.envs.vibration_map import CONTEXT, PROFILED, VibrationMap, feeds, rms_limit
 from probe_env.schedule import Schedule
 

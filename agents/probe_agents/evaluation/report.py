@@ -22,7 +22,8 @@ from probe_agents.policies.planner import InsertionPlanner, InspectionPlanner
 from probe_agents.records.atomic import write_atomically
 from probe_agents.records.drawing import MM
 from probe_agents.records.store import write_tables
-from probe_env.envs.task import FAILURES, Measure, TaskConfig
+from probe_env.envs.task.config import Measure, TaskConfig
+from probe_env.envs.task.rules import FAILURES
 from probe_env.envs.vibration_map import PROFILED, rms_limit
 from probe_env.fidelity import PRESETS, ROUND_TRIP_PRESETS
 

@@ -25,7 +25,7 @@ from probe_agents.terminal.tables import print_line, print_table
 from probe_env.envs.contexts import Split
 from probe_env.envs.episodes import Episodes
 from probe_env.envs.episodes.starts import Probes
-from probe_env.envs.task import ScoredPass
+from probe_env.envs.task.config import ScoredPass
 from probe_env.envs.trials import PlanningPolicy
 from probe_env.fidelity import Fidelity
 from probe_env.settings import explain

@@ -25,7 +25,8 @@ from probe_agents.terminal.tables import print_line, print_table
 from probe_env import Context, Fidelity
 from probe_env.arrays import FloatArray
 from probe_env.envs.episodes import Episodes
-from probe_env.envs.task import END_TOLERANCE, TaskConfig
+from probe_env.envs.task.config import TaskConfig
+from probe_env.envs.task.rules import END_TOLERANCE
 from probe_env.envs.trials import rollout
 from probe_env.fidelity import resolve_fidelity
 from probe_env.inspection.channels import (

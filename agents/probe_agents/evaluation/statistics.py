@@ -13,7 +13,7 @@ from scipy.stats import DegenerateDataWarning, beta, bootstrap, trim_mean
 from probe_agents.evaluation.kpis import HIGH, OVER_TUBES, kpis_of
 from probe_env.arrays import BoolArray, FloatArray
 from probe_env.envs.plants import Bundle
-from probe_env.envs.task import ENDINGS
+from probe_env.envs.task.rules import ENDINGS
 from probe_env.inspection.detection import DEPTHS, depths_found
 from probe_env.inspection.metrics import POD_NAMES
 

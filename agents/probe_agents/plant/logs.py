@@ -31,7 +31,7 @@ from probe_agents.records.reader import read_channels
 from probe_agents.records.sources import file_and_sheet
 from probe_agents.terminal.tables import print_table, print_terms
 from probe_env.arrays import FloatArray
-from probe_env.envs.task import TaskConfig
+from probe_env.envs.task.config import TaskConfig
 from probe_env.files import FileError, one_line
 from probe_env.schedule import CSV_COMMENT, FEED, MAX_POINTS, RANGES
 

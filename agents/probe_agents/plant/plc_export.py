@@ -17,7 +17,7 @@ from probe_agents.policies.policy import Domain, check_domains
 from probe_agents.records.atomic import write_text
 from probe_agents.terminal.tables import print_table
 from probe_env import Plant
-from probe_env.envs.task import TaskConfig
+from probe_env.envs.task.config import TaskConfig
 from probe_env.envs.vibration_map import stored_map
 from probe_env.inspection.sensor import REFERENCE_RMS, Sensor
 from probe_env.schedule import Schedule

@@ -31,7 +31,9 @@ from probe_agents.records.quantities import HOUR
 from probe_agents.terminal.tables import print_line
 from probe_env import Context, Plant, Scene
 from probe_env.arrays import BoolArray, FloatArray
-from probe_env.envs.task import TaskConfig, drive_counts, fraction_between, metre_reward, slack
+from probe_env.envs.task.config import TaskConfig
+from probe_env.envs.task.rules import drive_counts, metre_reward, slack
+from probe_env.envs.task.scales import fraction_between
 from probe_env.envs.vibration_map import expected_cost, feeds
 from probe_env.physics.closed_forms import buckling_load, steady_root_tension
 from probe_env.schedule import Schedule

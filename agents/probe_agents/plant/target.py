@@ -38,7 +38,7 @@ from probe_agents.records.atomic import write_atomically
 from probe_agents.terminal.tables import print_line
 from probe_env import Context, Plant
 from probe_env.arrays import FloatArray
-from probe_env.envs.task import TaskConfig
+from probe_env.envs.task.config import TaskConfig
 from probe_env.envs.vibration_map import CONTEXT, VibrationMap
 from probe_env.inspection.detection import DEPTHS, depths_found, pod_gaussian, snr_at, threshold
 from probe_env.schedule import Schedule

@@ -26,8 +26,8 @@ from probe_agents.policies.view import View, without
 from probe_agents.records.atomic import write_atomically
 from probe_env.arrays import BoolArray
 from probe_env.envs.episodes.actions import averaged_columns, changed_targets
-from probe_env.envs.task import TaskConfig, action_in
-from probe_env.envs.task.scales import PROBE
+from probe_env.envs.task.config import TaskConfig
+from probe_env.envs.task.scales import PROBE, action_in
 from probe_env.envs.vibration_map import stored_map
 from probe_env.files import FileError
 from probe_env.settings import Model, errors_in, quantity

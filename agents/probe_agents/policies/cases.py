@@ -9,7 +9,7 @@ from probe_agents.terminal.names import checked_name, name_of
 from probe_env import Context, Design, Plant
 from probe_env.envs.contexts import SPLIT_SIZES, Split, spread_contexts
 from probe_env.envs.plants import map_file
-from probe_env.envs.task import ScoredPass, TaskConfig
+from probe_env.envs.task.config import ScoredPass, TaskConfig
 from probe_env.envs.vibration_map import VibrationMap, load_for, stored_map
 from probe_env.scene import whole_pitches
 

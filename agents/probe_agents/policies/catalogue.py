@@ -19,7 +19,7 @@ from probe_agents.records.reader import read_schedule, read_withdrawal
 from probe_agents.records.shipped import policy_file, shipped_agents, shipped_names, ships
 from probe_agents.records.sources import WORKBOOKS, file_and_sheet
 from probe_agents.terminal.names import checked_name, name_of
-from probe_env.envs.task import TaskConfig
+from probe_env.envs.task.config import TaskConfig
 from probe_env.envs.vibration_map import VibrationMap, check_measure, stored_map
 from probe_env.files import one_line
 from probe_env.schedule import Schedule

@@ -13,8 +13,9 @@ import numpy.typing as npt
 
 from probe_agents.policies.policy import ObservationPolicy
 from probe_env.arrays import BoolArray, FloatArray
-from probe_env.envs.task import TaskConfig, value_at
+from probe_env.envs.task.config import TaskConfig
 from probe_env.envs.task.observations import in_si_units
+from probe_env.envs.task.scales import value_at
 from probe_env.schedule import Schedule
 
 STUDY_FEED, STUDY_AIR = 0.2, 63.0 / 3600.0

@@ -18,7 +18,7 @@ from probe_agents.policies.policy import Domain
 from probe_env import Context, Scene
 from probe_env.arrays import FloatArray
 from probe_env.envs.contexts import HELIX_DIAMETERS
-from probe_env.envs.task import TaskConfig
+from probe_env.envs.task.config import TaskConfig
 from probe_env.envs.task.scales import RF_FLOOR
 from probe_env.envs.vibration_map import (
     CONTEXT,

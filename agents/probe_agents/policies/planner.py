@@ -21,8 +21,9 @@ from probe_env import Context
 from probe_env.arrays import BoolArray, FloatArray
 from probe_env.envs.episodes import Episodes
 from probe_env.envs.episodes.scoring import RoundTripScorer
-from probe_env.envs.task import TaskConfig, metre_reward, reward_terms, uninspected_weight
+from probe_env.envs.task.config import TaskConfig
 from probe_env.envs.task.observations import in_si_units
+from probe_env.envs.task.rules import metre_reward, reward_terms, uninspected_weight
 from probe_env.envs.vibration_map import CONTEXT, VibrationMap, stored_map
 from probe_env.physics.closed_forms import MEASURED, friction_from_tension
 

@@ -19,7 +19,7 @@ from probe_env import Context
 from probe_env.arrays import BoolArray
 from probe_env.envs.contexts import Ranges
 from probe_env.envs.episodes.starts import Contexts, checked_contexts
-from probe_env.envs.task import TaskConfig
+from probe_env.envs.task.config import TaskConfig
 from probe_env.envs.trials import Controller
 from probe_env.envs.vibration_map import CONTEXT, VibrationMap
 from probe_env.files import MEBI, FileError, read_text

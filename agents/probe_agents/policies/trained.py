@@ -11,7 +11,7 @@ from safetensors import SafetensorError
 from probe_agents.policies.view import View
 from probe_agents.records.shipped import DEFAULT_SEED, file_or_shipped, policy_file, shipped_agents
 from probe_agents.terminal.tables import print_terms
-from probe_env.envs.task import TaskConfig
+from probe_env.envs.task.config import TaskConfig
 from probe_env.envs.task.scales import PROBE
 from probe_env.files import MEBI, FileError, read_bytes, read_toml
 from probe_env.settings import tuples

@@ -8,9 +8,16 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import BeforeValidator, Field, model_validator
 
-from probe_env.envs.task import TaskConfig, action_of, fraction_between, fraction_of, value_at
+from probe_env.envs.task.config import TaskConfig
 from probe_env.envs.task.observations import in_si_units
-from probe_env.envs.task.scales import OBSERVATIONS, with_present_names
+from probe_env.envs.task.scales import (
+    OBSERVATIONS,
+    action_of,
+    fraction_between,
+    fraction_of,
+    value_at,
+    with_present_names,
+)
 from probe_env.physics.closed_forms import MEASURED, SHAPE, friction_from_tension
 from probe_env.settings import Model, quantity, tuples
 

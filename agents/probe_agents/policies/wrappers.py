@@ -9,7 +9,7 @@ import numpy.typing as npt
 from probe_agents.policies.fixed import STUDY_AIR
 from probe_agents.policies.policy import Domain, ObservationPolicy, Policy
 from probe_env.arrays import BoolArray, FloatArray
-from probe_env.envs.task import TaskConfig
+from probe_env.envs.task.config import TaskConfig
 from probe_env.envs.task.observations import in_si_units
 from probe_env.physics.closed_forms import friction_from_tension, sliding_tension
 from probe_env.physics.model.chain import air_speed

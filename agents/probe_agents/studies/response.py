@@ -26,8 +26,8 @@ from probe_env import Context, Fidelity, Plant, Scene
 from probe_env.arrays import FloatArray
 from probe_env.envs.episodes import Episodes
 from probe_env.envs.plants import Tubes
-from probe_env.envs.task import TaskConfig, value_at
-from probe_env.envs.task.scales import ACCELEROMETER_FLOOR, RF_FLOOR
+from probe_env.envs.task.config import TaskConfig
+from probe_env.envs.task.scales import ACCELEROMETER_FLOOR, RF_FLOOR, value_at
 from probe_env.errors import StabilityWarning
 from probe_env.fidelity import PRESETS
 from probe_env.files import read_arrays

@@ -23,7 +23,7 @@ from probe_agents.policies.wrappers import RoundTripPolicy
 from probe_agents.studies.spec import Changes, Study
 from probe_env import Plant
 from probe_env.envs.episodes import Episodes
-from probe_env.envs.task import TaskConfig
+from probe_env.envs.task.config import TaskConfig
 from probe_env.fidelity import Fidelity, resolve_fidelity
 from probe_env.machine import available_cores
 from probe_env.settings import explain

@@ -35,8 +35,9 @@ from probe_agents.terminal.tables import print_line
 from probe_env import Context, Plant
 from probe_env.arrays import FloatArray
 from probe_env.envs.contexts import HELIX_DIAMETERS
-from probe_env.envs.task import TaskConfig, metre_reward, uninspected_weight, value_at
-from probe_env.envs.task.scales import RF_FLOOR
+from probe_env.envs.task.config import TaskConfig
+from probe_env.envs.task.rules import metre_reward, uninspected_weight
+from probe_env.envs.task.scales import RF_FLOOR, value_at
 from probe_env.envs.vibration_map import CONTEXT, VibrationMap, check_measure, expected_cost, feeds, stored_map
 from probe_env.fidelity import resolve_fidelity
 from probe_env.physics.closed_forms import sliding_tension

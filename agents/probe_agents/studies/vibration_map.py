@@ -23,7 +23,8 @@ from probe_env import Scene, load_contexts
 from probe_env.arrays import FloatArray
 from probe_env.envs.contexts import SPLIT_SIZES
 from probe_env.envs.plants import map_file
-from probe_env.envs.task import TaskConfig, value_at
+from probe_env.envs.task.config import TaskConfig
+from probe_env.envs.task.scales import value_at
 from probe_env.envs.vibration_map import CONTEXT, PROFILED, VibrationMap, features_of, feeds, rms_limit
 from probe_env.fidelity import resolve_fidelity
 from probe_env.files import escaped

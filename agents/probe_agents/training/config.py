@@ -19,7 +19,7 @@ from probe_env.envs.contexts import Context, Split
 from probe_env.envs.episodes.limits import check_fidelity
 from probe_env.envs.episodes.starts import RANDOM_TUBES, Contexts, NamedContexts, Probes, resolve_settings
 from probe_env.envs.plants import Plant, map_file, plant_of
-from probe_env.envs.task import TaskConfig
+from probe_env.envs.task.config import TaskConfig
 from probe_env.envs.vibration_map import VibrationMap, load_for
 from probe_env.fidelity import Fidelity, is_surrogate, resolve_fidelity
 from probe_env.settings import Model, explain, quantity, tuples

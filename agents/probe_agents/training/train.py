@@ -37,7 +37,7 @@ from probe_agents.terminal.tables import print_table
 from probe_agents.terminal.work import Work, announce
 from probe_agents.training.config import Imitation, Training
 from probe_agents.vec_env import ProbeVecEnv
-from probe_env.envs.task import TaskConfig
+from probe_env.envs.task.config import TaskConfig
 from probe_env.fidelity import SURROGATE, Fidelity
 from probe_env.files import MEBI, FileError, one_line, read_bytes
 

@@ -8,7 +8,8 @@ import numpy.typing as npt
 
 from probe_env.arrays import BoolArray
 from probe_env.envs.episodes.episodes import Episodes, Step
-from probe_env.envs.task import TaskConfig, rules
+from probe_env.envs.task import rules
+from probe_env.envs.task.config import TaskConfig
 
 AVERAGED: Final = ("radial_acceleration", "axial_acceleration", "rf_noise", "root_tension")
 """Observations that are averaged over the control periods of an action."""

@@ -10,8 +10,9 @@ import numpy as np
 from probe_env.arrays import BoolArray, FloatArray, rows_of
 from probe_env.envs.contexts import Context
 from probe_env.envs.episodes.limits import check_fidelity, check_simulable
-from probe_env.envs.task import TaskConfig, air_used
+from probe_env.envs.task.config import TaskConfig
 from probe_env.envs.task.observations import normal_draws
+from probe_env.envs.task.rules import air_used
 from probe_env.fidelity import Fidelity
 from probe_env.inspection.snr import FilteredSignal, SnrEstimator
 from probe_env.physics.closed_forms import buckling_load

@@ -27,8 +27,9 @@ from probe_env.envs.episodes.starts import (
     restored_on_error,
     settling_inputs,
 )
-from probe_env.envs.task import FAILURES, TaskConfig
+from probe_env.envs.task.config import TaskConfig
 from probe_env.envs.task.observations import SensorModel, normal_draws
+from probe_env.envs.task.rules import FAILURES
 from probe_env.envs.vibration_map import VibrationMap, load_for, stored_map
 from probe_env.fidelity import resolve_fidelity
 from probe_env.physics.simulation.window import Window

@@ -15,7 +15,7 @@ the cable explicitly, so that high drag needs a short step. Three are of the mod
 import math
 from typing import Final, NamedTuple
 
-from probe_env.envs.task import TaskConfig
+from probe_env.envs.task.config import TaskConfig
 from probe_env.fidelity import MESH_NODES, Fidelity
 from probe_env.physics.methods import METHODS, check_scene
 from probe_env.physics.methods.method import Method

@@ -12,8 +12,9 @@ import numpy as np
 from probe_env.arrays import BoolArray, FloatArray
 from probe_env.envs.contexts import Context
 from probe_env.envs.episodes.backend import Backend, StepRecord
-from probe_env.envs.task import TaskConfig, air_used
+from probe_env.envs.task.config import TaskConfig
 from probe_env.envs.task.observations import normal_draws
+from probe_env.envs.task.rules import air_used
 from probe_env.envs.vibration_map import CONTEXT, VibrationMap, check_measure, rms_limit
 from probe_env.physics.closed_forms import sliding_tension
 from probe_env.physics.model.drive import drives_after

@@ -13,7 +13,9 @@ import numpy as np
 
 from probe_env.arrays import BoolArray, FloatArray, rows_of
 from probe_env.envs.episodes.backend import StepRecord
-from probe_env.envs.task import COSTS, END_TOLERANCE, MEASURES, Score, TaskConfig, rules
+from probe_env.envs.task import rules
+from probe_env.envs.task.config import MEASURES, TaskConfig
+from probe_env.envs.task.rules import COSTS, END_TOLERANCE, Score
 from probe_env.inspection.metrics import TURN, DetectionMetrics, RoundTripMetrics
 from probe_env.inspection.snr import FilteredSignal
 from probe_env.physics.simulation.signals import SAMPLE_PERIOD

@@ -12,8 +12,7 @@ from pydantic import ValidationError
 from probe_env.design import RANGES, Design
 from probe_env.envs.contexts import SPLIT_SIZES, Context, Ranges, Split, draw_context, load_contexts
 from probe_env.envs.plants import PlantSource, map_file, plant_of
-from probe_env.envs.task import TaskConfig, ungrouped
-from probe_env.envs.task.config import scene_of
+from probe_env.envs.task.config import TaskConfig, scene_of, ungrouped
 from probe_env.envs.vibration_map import VibrationMap
 from probe_env.fidelity import Fidelity
 from probe_env.scene import Scene, whole_pitches

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from probe_env.arrays import FloatArray
 from probe_env.envs.episodes import Episodes
 from probe_env.envs.pictures.plate import BLUE, DPI, GREEN, QUIET_MM, RED, SIZE, Picture, Plate, label_of, limits_around
-from probe_env.envs.task import TaskConfig
+from probe_env.envs.task.config import TaskConfig
 from probe_env.physics.simulation.simulator import Simulator
 from probe_env.physics.simulation.window import Window
 

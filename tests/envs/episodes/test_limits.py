@@ -13,7 +13,7 @@ from probe_env import Context, Design, Fidelity, Probe, Scene, SimulatorBatch, l
 from probe_env.envs.design_env import DesignEnv
 from probe_env.envs.episodes.limits import check_simulable, softest_wall, steady_sliding
 from probe_env.envs.episodes.starts import EpisodeSampler
-from probe_env.envs.task import TaskConfig
+from probe_env.envs.task.config import TaskConfig
 from probe_env.envs.trials import HARDEST, sections_of
 from probe_env.fidelity import PRESETS
 from probe_env.physics.methods import METHODS

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from probe_env.envs.episodes import Episodes
-from probe_env.envs.task import TaskConfig
+from probe_env.envs.task.config import TaskConfig
 from probe_env.fidelity import Fidelity, resolve_fidelity
 
 CONFIG = TaskConfig()

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from probe_env import Context, Scene, TaskConfig
-from probe_env.envs import task
 from probe_env.envs.episodes import Episodes
+from probe_env.envs.task import rules, scales
 from probe_env.physics.closed_forms import buckling_load
 
 FULL = (0.4, 30.0 / 3600.0)
@@ -18,32 +18,32 @@ def test_skipping_a_metre_never_pays():
     rng = np.random.default_rng(7)
     ratio = rng.uniform(0.0, 2.0 * config.ratio_cap, 200)
     feed, air = rng.uniform(*config.feed_speeds, 200), rng.uniform(*config.air_supply_rates, 200)
-    squares = task.capped_square(config, ratio)
-    inspected = task.metre_reward(config, task.metre_cost(config, squares, feed, air))
-    terms = task.reward_terms(config, inspected=np.ones(200), squares=squares, seconds=1.0 / feed, air=air / feed)
+    squares = rules.capped_square(config, ratio)
+    inspected = rules.metre_reward(config, rules.metre_cost(config, squares, feed, air))
+    terms = rules.reward_terms(config, inspected=np.ones(200), squares=squares, seconds=1.0 / feed, air=air / feed)
     assert inspected == pytest.approx(sum(terms.values()), rel=1e-13)
     jerk = config.jerk_weight * 8.0 / config.period  # both actions from one end to the other: 2^2 + 2^2
-    assert (inspected - jerk / feed > -task.uninspected_weight(config)).all()
+    assert (inspected - jerk / feed > -rules.uninspected_weight(config)).all()
     slowest = config.feed_speeds[0]
-    worst = task.metre_cost(config, config.ratio_cap**2, slowest, config.air_supply_rates[1]) + jerk / slowest
-    assert task.uninspected_weight(config) == pytest.approx(float(worst) + config.progress_weight, rel=1e-14)
+    worst = rules.metre_cost(config, config.ratio_cap**2, slowest, config.air_supply_rates[1]) + jerk / slowest
+    assert rules.uninspected_weight(config) == pytest.approx(float(worst) + config.progress_weight, rel=1e-14)
 
 
 def test_actions_convert_to_another_range_also_beyond_its_ends():
     own, other = (0.02, 0.4), (0.05, 0.25)
     values = np.linspace(*own, 7)
-    fractions = task.fraction_between(values, own)
-    assert task.value_at(fractions, own) == pytest.approx(values, rel=1e-15)
-    assert task.fraction_of(task.action_of(fractions)) == pytest.approx(fractions, abs=1e-15)
-    assert (task.fraction_of(np.array([-1.5, 1.5])) == [0.0, 1.0]).all()
+    fractions = scales.fraction_between(values, own)
+    assert scales.value_at(fractions, own) == pytest.approx(values, rel=1e-15)
+    assert scales.fraction_of(scales.action_of(fractions)) == pytest.approx(fractions, abs=1e-15)
+    assert (scales.fraction_of(np.array([-1.5, 1.5])) == [0.0, 1.0]).all()
     here, there = TaskConfig(feed_speeds=own), TaskConfig(feed_speeds=other)
     actions = np.array([-1.0, -0.5, 0.0, 1.0])
     targets = here.targets(np.column_stack([actions, actions]))[:, 0]
-    translated = task.action_in(actions, own, other)
-    assert task.value_at(0.5 * (translated + 1.0), other) == pytest.approx(targets, rel=1e-14)
+    translated = scales.action_in(actions, own, other)
+    assert scales.value_at(0.5 * (translated + 1.0), other) == pytest.approx(targets, rel=1e-14)
     assert translated[0] < -1.0
     assert translated[-1] > 1.0
-    standstill = task.action_in(np.array([float(here.standstill)]), own, other)
+    standstill = scales.action_in(np.array([float(here.standstill)]), own, other)
     assert standstill == pytest.approx(float(there.standstill), abs=2.0**-22)  # both are float32
 
 
@@ -60,8 +60,8 @@ def test_a_cost_term_is_one_beyond_its_limit():
     mean = np.array([5.0, 0.5, 19.0, 21.0, -46.9, -47.1])
     maximum = np.array([20.0, 1.0, 20.1, 25.0, -40.0, -45.0])
     is_slack = np.array([False, True, False, False, True, False])
-    costs = task.cost_terms(config, is_slack, mean, maximum, load)
-    assert tuple(costs) == tuple(task.COSTS)
+    costs = rules.cost_terms(config, is_slack, mean, maximum, load)
+    assert tuple(costs) == tuple(rules.COSTS)
     assert costs["lost_drive"].tolist() == [0.0, 1.0, 0.0, 0.0, 1.0, 0.0]
     assert costs["tension"].tolist() == [0.0, 0.0, 1.0, 1.0, 0.0, 0.0]
     assert costs["buckling"].tolist() == [0.0, 0.0, 0.0, 0.0, 0.0, 1.0]
@@ -79,7 +79,7 @@ def test_lost_drive_ends_an_episode():
             assert info["cost_terms"]["tension"] == 1.0
     kpis = infos[-1]["episode_kpis"]
     assert (kpis["lost_drive"], kpis["lost_drive_events"], kpis["complete"]) == (1.0, 1.0, 0.0)
-    uninspected = -task.uninspected_weight(config) * (55.0 - kpis["inspected_m"])
+    uninspected = -rules.uninspected_weight(config) * (55.0 - kpis["inspected_m"])
     assert infos[-1]["reward_terms"]["uninspected"] == pytest.approx(uninspected)
     assert kpis["cost_lost_drive"] == 3.0
     assert kpis["cost_tension"] == sum(info["cost_terms"]["tension"] for info in infos) > 0.0
@@ -128,16 +128,16 @@ def test_only_the_time_limit_alone_truncates():
     inserted, slack_steps = np.array([30.0, 30.0, 60.0, 30.0, 30.0, 30.0]), np.array([2, 2, 0, 3, 0, 0])
     time, stepped = np.array([9.0, 10.0, 10.0, 10.0, 10.0, 10.0]), np.array([True] * 5 + [False])
     diverged = np.array([False] * 4 + [True, False])
-    ends = task.ending(config, task.Situation(inserted, length, slack_steps, stepped, diverged), time)
-    score = task.Score({}, {}, ends, np.zeros(6))
+    ends = rules.ending(config, rules.Situation(inserted, length, slack_steps, stepped, diverged), time)
+    score = rules.Score({}, {}, ends, np.zeros(6))
     assert score.truncated.tolist() == [False, True, False, False, False, False]
     assert score.terminated.tolist() == [False, False, True, True, True, False]
-    assert task.any_ending(ends).tolist() == [False, True, True, True, True, False]
+    assert rules.any_ending(ends).tolist() == [False, True, True, True, True, False]
 
 
 def test_slack_periods_are_counted_consecutively():
     slack = np.array([[1, 1, 0, 1, 1, 1, 1], [0, 1, 1, 1, 0, 0, 1]], dtype=bool)
     counts = [np.zeros(2, dtype=int)]
     for is_slack in slack.T:
-        counts.append(task.consecutive_slack(counts[-1], is_slack))
+        counts.append(rules.consecutive_slack(counts[-1], is_slack))
     assert np.array(counts[1:]).T.tolist() == [[1, 2, 0, 1, 2, 3, 4], [0, 1, 2, 3, 0, 0, 1]]

@@ -8,8 +8,9 @@ import probe_env
 from probe_env.design import RANGES
 from probe_env.envs.episodes import Episodes
 from probe_env.envs.episodes.scoring import Percentiles
-from probe_env.envs.task import TaskConfig, uninspected_weight
+from probe_env.envs.task.config import TaskConfig
 from probe_env.envs.task.observations import in_si_units, observe
+from probe_env.envs.task.rules import uninspected_weight
 from probe_env.envs.task.scales import OBSERVATIONS
 from probe_env.physics.simulation.batch import SimulatorBatch
 

@@ -11,7 +11,8 @@ from probe_env.design import CLEARANCE, RANGES, ranges_in
 from probe_env.envs import trials
 from probe_env.envs.design_env import STUDY_FEED, DesignEnv
 from probe_env.envs.episodes.limits import check_simulable
-from probe_env.envs.task import FAILURES, TaskConfig
+from probe_env.envs.task.config import TaskConfig
+from probe_env.envs.task.rules import FAILURES
 from probe_env.envs.trials import Candidate
 from probe_env.schedule import Schedule
 

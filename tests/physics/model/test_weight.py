@@ -9,7 +9,7 @@ from oracles.chains import tip_equation, uniform_chain
 from probe_env import Fidelity, Scene, Simulator, SimulatorBatch
 from probe_env.envs.episodes.limits import check_fidelity
 from probe_env.envs.episodes.predicted import check_task
-from probe_env.envs.task import TaskConfig
+from probe_env.envs.task.config import TaskConfig
 from probe_env.envs.vibration_map import stored_map
 from probe_env.physics.closed_forms import steady_tensions
 from probe_env.physics.methods import METHODS
