@@ -17,7 +17,6 @@ from probe_env.envs.episodes.starts import (
     resolve_settings,
     restored_on_error,
     sample_context,
-    settling_inputs,
 )
 from probe_env.envs.task.config import TaskConfig
 from probe_env.envs.task.scales import OBSERVATIONS, PRIVILEGED, UNITS, action_of, as_actions, fraction_of
@@ -108,10 +107,9 @@ class DesignEnv(StepLimitSpec, gym.Env[Observation, Observation]):
         if render_mode is not None:
             raise ValueError(f"render_mode = {render_mode!r}: Design-v1 is not rendered; use Insertion-v1 with options")
         self.config, remaining = resolve_settings({}, config, cast(EpisodeSettings, settings))
-        self.contexts = remaining.get("contexts", DEFAULTS["contexts"])
         segment_of(self.config)  # raises for a helix that is too short
         # an insertion starts like that of Insertion-v1; the action, not the sampler, builds the probe
-        self.sampler = EpisodeSampler(self.config, self.contexts, "random", *settling_inputs(self.config, {}))
+        self.sampler = EpisodeSampler(self.config, remaining.get("contexts", DEFAULTS["contexts"]), "random")
         self.fidelity = resolve_fidelity(remaining.get("fidelity", DEFAULTS["fidelity"]), self.sampler.stiffest, full)
         if not self.fidelity.simulates:
             raise ValueError("fidelity = 'surrogate' is for Insertion-v1 only: designs are simulated, use fast")
@@ -158,7 +156,7 @@ class DesignEnv(StepLimitSpec, gym.Env[Observation, Observation]):
         super().reset(seed=seed)
         sections = None if self.full else cast(Schedule, self.feed)
         with restored_on_error([self.np_random]):
-            context = sample_context(self.contexts, self.np_random, dict(options or {}))
+            context = sample_context(self.sampler.source, self.np_random, dict(options or {}))
             for design in HARDEST:  # then the whole design space, cut to the bore, is accepted
                 check_candidate(design.cut_to(self.scene), context, self.config, self.fidelity, sections)
         self.context = context

@@ -18,7 +18,7 @@ from probe_env.design import RANGES, Design
 from probe_env.envs.contexts import Context
 from probe_env.envs.episodes import Episodes, Step
 from probe_env.envs.episodes.limits import check_simulable
-from probe_env.envs.episodes.starts import EpisodeSampler, settling_inputs
+from probe_env.envs.episodes.starts import EpisodeSampler
 from probe_env.envs.task.config import TaskConfig
 from probe_env.envs.task.rules import FAILURES, capped_square, drive_counts, reward_terms, slack
 from probe_env.fidelity import Fidelity
@@ -353,8 +353,7 @@ def check_candidate(
     ``feed`` is the schedule of sections of constant length; None: whole insertions.
     """
     if feed is None:
-        starts = EpisodeSampler(config, (context,), "scene", *settling_inputs(config, {}))
-        scene = starts.build(context, {"probe": design.built.model_dump()})
+        scene = EpisodeSampler(config, (context,)).build(context, {"probe": design.built.model_dump()})
         check_simulable(scene, fidelity, scene.tube.helix_length, config.air_supply_rates[1])
     else:
         for start, air in sections_of(design, context, feed, config):

@@ -55,7 +55,8 @@ def test_candidates_of_the_planner_depend_on_time_only():
 
         def drawn(rows, count, time=3, both=both):
             if both:
-                return planning.candidates_for_both_passes(held[rows], count, config, [0, time])
+                planner = InspectionPlanner(config, candidates=count)
+                return planner._candidates([], np.zeros(0), held[rows], [0, time])
             return planning.candidates_near(held[rows], mapped[rows], count, config, [0, time])
 
         suggested = np.column_stack([np.full(2, 0.4), held[:, 1]]) if both else mapped
@@ -224,7 +225,7 @@ def held(config, feed, air):
 
 def rest(episodes, feed=0.4, air=30.0 / 3600.0):
     """Worth with the same feed and air held in all episodes: by default the fastest and the least."""
-    return planning.remaining_reward_of_both_passes(episodes, np.tile([feed, air], (len(episodes), 1)))
+    return InspectionPlanner(episodes.config)._rest(episodes, np.tile([feed, air], (len(episodes), 1)))
 
 
 @pytest.mark.parametrize(("scored_pass", "measure"), [("best", "displacement"), ("withdrawal", "snr")])

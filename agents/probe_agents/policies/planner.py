@@ -214,8 +214,9 @@ class InsertionPlanner(ModelPredictivePolicy):
 class InspectionPlanner(ModelPredictivePolicy):
     """Model-predictive control of both passes.
 
-    The remaining reward assumes the candidate until the end of the present pass, then the fastest withdrawal without
-    vibration. There is no map of withdrawals: a compressed probe hardly vibrates except after changes of its feed.
+    The remaining reward assumes the candidate until the end of the present pass, then the fastest withdrawal with the
+    least air and without vibration; for a slack cable it is the cost of lost drive. There is no map of withdrawals: a
+    compressed probe hardly vibrates except after changes of its feed.
 
     Raises:
         ValueError: a setting is out of range, or the withdrawal is not scored.
@@ -235,24 +236,37 @@ class InspectionPlanner(ModelPredictivePolicy):
     def _candidates(
         self, tubes: Sequence[Context], inserted: FloatArray, held: FloatArray, entropy: list[int]
     ) -> FloatArray:
-        return candidates_for_both_passes(held, self.candidates, self.config, entropy)
+        """Held setting, fastest feed with the held air, then in turn near the held one and fastest with random air.
+
+        The two passes need different settings, and the turn is too short for small steps.
+        """
+        config, count = self.config, self.candidates
+        fastest, (minimum, maximum) = config.feed_speeds[1], config.air_supply_rates
+        suggested = np.column_stack([np.full(len(held), fastest), held[:, 1]])
+        tried = candidates_near(held, suggested, count, config, entropy)
+        airs = np.random.default_rng([*entropy, count]).uniform(minimum, maximum, size=count)
+        actions = config.actions(np.full(count, fastest), airs).astype(np.float32)
+        tried[:, 3::2] = config.targets(actions)[3::2]
+        return tried
 
     def _rest(self, copies: Episodes, held: FloatArray) -> FloatArray:
-        return remaining_reward_of_both_passes(copies, held)
-
-
-def candidates_for_both_passes(held: FloatArray, count: int, config: TaskConfig, entropy: list[int]) -> FloatArray:
-    """(n, count, 2) feed speeds [m/s] and air supplies [m3/s], rounded like the plant's devices.
-
-    The current setting (n, 2), the fastest feed with the current air, then in turn samples near the current setting and
-    the fastest feed with random air: the two passes need different settings, and the turn is too short for small steps.
-    """
-    fastest, (minimum, maximum) = config.feed_speeds[1], config.air_supply_rates
-    tried = candidates_near(held, np.column_stack([np.full(len(held), fastest), held[:, 1]]), count, config, entropy)
-    airs = np.random.default_rng([*entropy, count]).uniform(minimum, maximum, size=count)
-    actions = config.actions(np.full(count, fastest), airs).astype(np.float32)
-    tried[:, 3::2] = config.targets(actions)[3::2]
-    return tried
+        config, passes = copies.config, copies.scorer
+        assert isinstance(passes, RoundTripScorer)
+        inserted, length = copies.inserted_length, copies.helix_length
+        to_pass, shaken = passes.still_to_pass()
+        inserting, uninspected = passes.direction > 0.0, length - passes.reached
+        here = np.where(inserting, length - inserted, to_pass) / held[:, 0]
+        back = np.where(inserting, length - passes.start, 0.0) / config.feed_speeds[1]
+        air = held[:, 1] * here + config.air_supply_rates[0] * back
+        best, left = config.scored_pass == "best", np.where(inserting, length - passes.start, to_pass)
+        # the vibration of the insertion is already charged; a withdrawal without vibration refunds it
+        terms = reward_terms(
+            config, inspected=uninspected if best else left, squares=-shaken if best else np.zeros(len(left)),
+            seconds=here + back, air=air,
+        )  # fmt: skip
+        reward = sum(terms.values())
+        lost_drive = -uninspected_weight(config) * (uninspected + left)
+        return np.where(copies.running, np.where(is_slack(copies), lost_drive, reward), 0.0)
 
 
 def candidates_near(
@@ -338,28 +352,3 @@ def reward_of_holding(copies: Episodes, held: FloatArray, periods: int) -> Float
 def is_slack(episodes: Episodes) -> BoolArray:
     """(N,) whether the cable is slack, so that the drive will be lost."""
     return np.asarray(episodes.scorer.slack_periods > 0)
-
-
-def remaining_reward_of_both_passes(episodes: Episodes, held: FloatArray) -> FloatArray:
-    """(N,) remaining reward with insertion and withdrawal; 0 for ended episodes.
-
-    Feed [m/s] and air [m3/s] (N, 2) are constant on the present pass; the withdrawal has the fastest feed and the least
-    air. For a slack cable the value is the cost of lost drive.
-    """
-    config, passes = episodes.config, episodes.scorer
-    assert isinstance(passes, RoundTripScorer)
-    inserted, length = episodes.inserted_length, episodes.helix_length
-    to_pass, shaken = passes.still_to_pass()
-    inserting, uninspected = passes.direction > 0.0, length - passes.reached
-    here = np.where(inserting, length - inserted, to_pass) / held[:, 0]
-    back = np.where(inserting, length - passes.start, 0.0) / config.feed_speeds[1]
-    air = held[:, 1] * here + config.air_supply_rates[0] * back
-    best, left = config.scored_pass == "best", np.where(inserting, length - passes.start, to_pass)
-    # the vibration of the insertion is already charged; a withdrawal without vibration refunds it
-    terms = reward_terms(
-        config, inspected=uninspected if best else left, squares=-shaken if best else np.zeros(len(left)),
-        seconds=here + back, air=air,
-    )  # fmt: skip
-    reward = sum(terms.values())
-    lost_drive = -uninspected_weight(config) * (uninspected + left)
-    return np.where(episodes.running, np.where(is_slack(episodes), lost_drive, reward), 0.0)

@@ -25,7 +25,6 @@ from probe_env.envs.episodes.starts import (
     EpisodeSettings,
     resolve_settings,
     restored_on_error,
-    settling_inputs,
 )
 from probe_env.envs.task.config import TaskConfig
 from probe_env.envs.task.observations import SensorModel, normal_draws
@@ -86,14 +85,14 @@ class Episodes:
         arguments, self.allow_standstill = DEFAULTS | settings, allow_standstill
         if num_envs < 1:
             raise ValueError(f"num_envs = {num_envs!r} is outside the accepted range 1 and more")
-        feed_speed, air_supply_rate = settling_inputs(self.config, settings)
         self.sampler = EpisodeSampler(
-            self.config, arguments["contexts"], arguments["probes"], feed_speed, air_supply_rate, arguments["in_turn"]
-        )
+            self.config, arguments["contexts"], arguments["probes"],
+            arguments["feed_speed"], arguments["air_supply_rate"], arguments["in_turn"],
+        )  # fmt: skip
         self.fidelity = resolve_fidelity(
             arguments["fidelity"], self.sampler.stiffest, self.config.growing, self.config.returns
         )
-        self.start_action = self.config.action(feed_speed, air_supply_rate)
+        self.start_action = self.config.action(self.sampler.feed_speed, self.sampler.air_supply_rate)
         self.backend: Backend
         if self.fidelity.simulates:
             scene = self.sampler.build(Context(), {})

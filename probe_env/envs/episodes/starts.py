@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Literal, TypedDict, get_args
 
@@ -24,7 +23,7 @@ Contexts = NamedContexts | Sequence[Context | Mapping[str, float]] | Mapping[str
 Probes = Literal["scene", "random"]
 SHORTEST_START: Final = 5.0  # [m] inserted
 SETTLING: Final = (0.2, 63.0 / 3600.0)
-"""Default feed speed [m/s] and air supply [m3/s] while the probe settles."""
+"""Default feed speed [m/s] and air supply [m3/s] while the probe settles, clipped to the range of the task."""
 WITHDRAWAL_SCENE: Final[dict[str, Any]] = {"couple": "tangent", "contact": {"cable": True}}
 """Fields of the scene that withdrawal needs: the cable is under compression."""
 CARRIER_AT_START: Final = 2.5  # [m], at least
@@ -44,8 +43,8 @@ class SceneSettings(TypedDict, total=False):
 class EpisodeSettings(SceneSettings, total=False):
     """Arguments of episodes besides the task, SI units; see ``InsertionEnv``."""
 
-    feed_speed: float
-    air_supply_rate: float
+    feed_speed: float | None
+    air_supply_rate: float | None
     probes: Probes
     in_turn: bool
     surrogate_map: VibrationMap | str | Path | None
@@ -53,16 +52,9 @@ class EpisodeSettings(SceneSettings, total=False):
 
 DEFAULTS: Final[EpisodeSettings] = {
     "tube": None, "scene": None, "fidelity": "fast", "contexts": "random",
-    "feed_speed": SETTLING[0], "air_supply_rate": SETTLING[1], "probes": "scene",
+    "feed_speed": None, "air_supply_rate": None, "probes": "scene",
     "in_turn": False, "surrogate_map": None,
 }  # fmt: skip
-
-
-def settling_inputs(config: TaskConfig, settings: EpisodeSettings) -> tuple[float, float]:
-    """Feed speed [m/s] and air supply [m3/s] while settling: the arguments, or the default clipped to the range."""
-    ranges = config.feed_speeds, config.air_supply_rates
-    feed, air = (float(np.clip(default, *range_)) for default, range_ in zip(SETTLING, ranges, strict=True))
-    return settings.get("feed_speed", feed), settings.get("air_supply_rate", air)
 
 
 @contextmanager
@@ -77,26 +69,34 @@ def restored_on_error(rngs: Iterable[np.random.Generator]) -> Iterator[None]:
         raise
 
 
-@dataclass(frozen=True)
 class EpisodeSampler:
-    """Samples tube and probe of an episode, see ``EpisodeSettings``; ValueError for arguments that are not valid."""
+    """Samples tube and probe of an episode, see ``EpisodeSettings``; ValueError for arguments that are not valid.
 
-    config: TaskConfig
-    contexts: Contexts
-    probes: Probes
-    feed_speed: float
-    air_supply_rate: float
-    in_turn: bool = False
+    Attributes:
+        source: tubes, or ranges to sample them from.
+        feed_speed, air_supply_rate: while the probe settles [m/s], [m3/s].
+    """
 
-    def __post_init__(self) -> None:
-        if self.probes not in get_args(Probes):
-            raise ValueError(f"probes = {self.probes!r} is not one of {', '.join(get_args(Probes))}")
-        checked = checked_contexts(self.contexts)
-        if self.in_turn and isinstance(checked, Ranges):
+    def __init__(
+        self,
+        config: TaskConfig,
+        contexts: Contexts,
+        probes: Probes = "scene",
+        feed_speed: float | None = None,
+        air_supply_rate: float | None = None,
+        in_turn: bool = False,
+    ) -> None:
+        if probes not in get_args(Probes):
+            raise ValueError(f"probes = {probes!r} is not one of {', '.join(get_args(Probes))}")
+        self.config, self.probes, self.in_turn, self.source = config, probes, in_turn, checked_contexts(contexts)
+        if in_turn and isinstance(self.source, Ranges):
             raise ValueError(
                 f"in_turn = True needs a list of tubes: contexts = {', '.join(map(repr, SPLIT_SIZES))} or your own"
             )
-        object.__setattr__(self, "contexts", checked)
+        low, high = np.array([config.feed_speeds, config.air_supply_rates]).T
+        feed, air = np.clip(SETTLING, low, high).tolist()
+        self.feed_speed = feed if feed_speed is None else feed_speed
+        self.air_supply_rate = air if air_supply_rate is None else air_supply_rate
 
     @property
     def scene(self) -> Scene:
@@ -106,7 +106,7 @@ class EpisodeSampler:
     @property
     def stiffest(self) -> Scene:
         """Scene with the stiffest contact and lightest floats: a step stable for it is stable for all samples."""
-        source = checked_contexts(self.contexts)
+        source = self.source
         stiffness = source.stiffest if isinstance(source, Ranges) else max(c.contact_stiffness for c in source)
         update: dict[str, Any] = {"contact": {"stiffness": max(stiffness, self.scene.contact.stiffness)}}
         if self.probes == "random":
@@ -122,9 +122,9 @@ class EpisodeSampler:
         """
         fixed = dict(options)
         changes: dict[str, Any] = {name: fixed.pop(name) for name in ("probe", "carrier_length") if name in fixed}
-        source = self.contexts
-        if self.in_turn and not isinstance(source, str | Mapping | Ranges):
-            source = [source[turn % len(source)]]
+        source = self.source
+        if self.in_turn and not isinstance(source, Ranges):
+            source = (source[turn % len(source)],)
         context = sample_context(source, rng, fixed)
         design = Design.random(rng).cut_to(self.scene).built.model_dump() if self.probes == "random" else {}
         probe = changes.get("probe", {})
@@ -214,9 +214,8 @@ def checked_contexts(contexts: Contexts) -> tuple[Context, ...] | Ranges:
     return tuple(listed)
 
 
-def sample_context(contexts: Contexts, rng: np.random.Generator, fixed: dict[str, Any]) -> Context:
+def sample_context(source: tuple[Context, ...] | Ranges, rng: np.random.Generator, fixed: dict[str, Any]) -> Context:
     """A context from ranges or from a list; ``fixed`` sets fields, or a whole "context", which is removed from it."""
-    source = checked_contexts(contexts)
     whole = fixed.pop("context", None)
     if whole is not None:
         if not isinstance(whole, Context | Mapping):

@@ -47,7 +47,7 @@ def test_contexts_are_sampled_from_lists_and_ranges():
     assert checked_contexts(listed)[1].helix_diameter == 1.9
     rng, same = np.random.default_rng(5), np.random.default_rng(5)
     ranges = {"friction": (0.3, 0.35), "helix_diameter": 1.9, "drag_factor": [0.8, 1.0, 1.2]}
-    plain, sample = draw_context(same), sample_context(ranges, rng, {})
+    plain, sample = draw_context(same), sample_context(checked_contexts(ranges), rng, {})
     assert 0.3 <= sample.friction <= 0.35
     assert sample.helix_diameter == 1.9
     assert sample.drag_factor in (0.8, 1.0, 1.2)
