@@ -154,21 +154,15 @@ ROUND_TRIP_PRESETS: Final[dict[str, Fidelity]] = {
 displaces it by 0.4 m, which needs double precision. "fast" has 4 nodes per pitch, and time-lapse during insertion."""
 
 
-def time_lapse_text(fidelity: Fidelity) -> str:
-    """Time-lapse as text; empty if there is none."""
-    if fidelity.time_lapse == 1.0:
-        return ""
-    steady = f" up to {fidelity.steady_feed:g} m/s" if fidelity.steady_feed is not None else ""
-    return f"time-lapse {fidelity.time_lapse:g}{steady}"
-
-
 def summary_text(fidelity: Fidelity) -> str:
     """All settings in one line."""
     if not fidelity.simulates:
         return fidelity.method_name
     mesh = f"{fidelity.nodes_per_pitch} nodes a pitch" if fidelity.nodes_per_pitch != 4 else ""
     step = f"{fidelity.method_name} at {fidelity.time_step:g} s"
-    return ", ".join(filter(None, (step, mesh, time_lapse_text(fidelity))))
+    steady = f" up to {fidelity.steady_feed:g} m/s" if fidelity.steady_feed is not None else ""
+    lapse = f"time-lapse {fidelity.time_lapse:g}{steady}" if fidelity.time_lapse != 1.0 else ""
+    return ", ".join(filter(None, (step, mesh, lapse)))
 
 
 def resolve_fidelity(

@@ -34,12 +34,6 @@ def spaces_of(config: TaskConfig) -> tuple[gym.spaces.Box, gym.spaces.Box]:
     return gym.spaces.Box(low, high, dtype=np.float32), gym.spaces.Box(-1.0, 1.0, (2,), dtype=np.float32)
 
 
-def check_episode_steps(steps: int | None) -> None:
-    """Raise ValueError unless the limit is at least one step."""
-    if steps is not None and steps < 1:
-        raise ValueError(f"max_episode_steps = {steps!r} is outside the accepted range 1 and more")
-
-
 def to_json(value: Any) -> Any:
     """An argument of ``make`` as JSON can store it: settings as mappings, paths and modes as text, recursively."""
     match value:
@@ -338,7 +332,8 @@ class ProbeVectorEnv(StepLimitSpec, gym.vector.VectorEnv[Observation, Observatio
         render_mode: str | None = None,
         **settings: Unpack[EpisodeSettings],
     ) -> None:
-        check_episode_steps(max_episode_steps)
+        if max_episode_steps is not None and max_episode_steps < 1:
+            raise ValueError(f"max_episode_steps = {max_episode_steps!r} is outside the accepted range 1 and more")
         if render_mode is not None:
             raise ValueError(f"render_mode = {render_mode!r}: a batch is not rendered; use gym.make")
         self.episodes = Episodes(
@@ -440,25 +435,16 @@ class ProbeVectorEnv(StepLimitSpec, gym.vector.VectorEnv[Observation, Observatio
             self._steps += ~starting
             if self.max_episode_steps is not None:
                 truncated = truncated | (~starting & (self._steps >= self.max_episode_steps))
-        if starting.any():  # NEXT_STEP: this step is their reset
-            for k, info in self._start(np.flatnonzero(starting).tolist(), observation).items():
-                infos[k] = info
-        self._ended = terminated | truncated
-        if self._ended.any() and self.autoreset_mode is AutoresetMode.SAME_STEP:
-            ended = np.flatnonzero(self._ended).tolist()
-            final = observation.copy()
-            started = self._start(ended, observation)
-            for k in ended:
-                infos[k] = started[k] | {"final_obs": final[k], "final_info": infos[k]}
-            self._ended[:] = False
+        self._ended = terminated | truncated | starting
+        same_step = self.autoreset_mode is AutoresetMode.SAME_STEP
+        starting = self._ended.copy() if same_step else starting  # with NEXT_STEP this step is their reset
+        if starting.any():
+            which, final = np.flatnonzero(starting).tolist(), observation.copy()
+            first, started = self.start(which, None, {})
+            observation[which] = first[which]
+            for k in which:
+                infos[k] = started[k] | ({"final_obs": final[k], "final_info": infos[k]} if same_step else {})
         return observation, reward.copy(), terminated.copy(), truncated.copy(), infos
-
-    def _start(self, which: list[int], observation: Observation) -> dict[int, dict[str, Any]]:
-        """Start episodes and put their observations into ``observation`` (N, d); their infos."""
-        self._steps[which] = 0
-        first, infos = self.episodes.reset(which, self._rngs)
-        observation[which] = first[which]
-        return infos
 
 
 # VectorEnv is among their direct bases because skrl recognises a batch by that
