@@ -2,20 +2,15 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
-from typing import Any, Literal, Unpack
+from typing import Any, Literal, Unpack, cast, get_args
 
 import gymnasium as gym
 import numpy as np
+from gymnasium.envs.registration import load_env_creator
 from gymnasium.vector import AutoresetMode
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvObs, VecEnvStepReturn
 
-from probe_env.envs.env import (
-    IncrementalInsertionVectorEnv,
-    InsertionVectorEnv,
-    InspectionVectorEnv,
-    ProbeVectorEnv,
-    SnapshotVectorEnv,
-)
+from probe_env.envs.env import ProbeVectorEnv
 from probe_env.envs.episodes.starts import EpisodeSettings
 from probe_env.envs.task.config import TaskConfig
 
@@ -24,10 +19,7 @@ EnvId = Literal[
     "probe_env/Insertion-v1", "probe_env/IncrementalInsertion-v1", "probe_env/Snapshot-v1", "probe_env/Inspection-v0"
 ]
 ENVIRONMENTS: dict[str, type[ProbeVectorEnv]] = {
-    "probe_env/Insertion-v1": InsertionVectorEnv,
-    "probe_env/IncrementalInsertion-v1": IncrementalInsertionVectorEnv,
-    "probe_env/Snapshot-v1": SnapshotVectorEnv,
-    "probe_env/Inspection-v0": InspectionVectorEnv,
+    env_id: cast(Any, load_env_creator(str(gym.spec(env_id).vector_entry_point))) for env_id in get_args(EnvId)
 }
 """Environment id -> native batch."""
 

@@ -24,8 +24,6 @@ def test_every_environment_is_in_every_list_of_them():
     assert set(ENVIRONMENTS) == set(get_args(EnvId)) == ids - {"probe_env/Design-v1"}
     # policies by name give targets
     assert set(get_args(get_type_hints(Render)["env_id"])) == ids - {"probe_env/Design-v1", INCREMENTAL}
-    for env_id, kind in ENVIRONMENTS.items():
-        assert env_id.startswith(f"probe_env/{kind.__name__.removesuffix('VectorEnv')}-")
 
 
 def test_fidelity_by_default_by_name_and_by_settings():
