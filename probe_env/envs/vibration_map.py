@@ -46,11 +46,30 @@ def feeds(config: TaskConfig) -> tuple[float, float]:
     return max(slow, min(FEEDS[0] * fast / FEEDS[1], permitted)), permitted
 
 
+Layers = tuple[tuple[FloatArray, FloatArray], ...]
+"""Weights (inputs, outputs) and biases (outputs,) of the layers of a network, tanh between them."""
+
+
+def distribution_of(
+    layers: Layers, inputs: FloatArray, lowest: float, product: Callable[..., FloatArray] = np.matmul
+) -> tuple[FloatArray, FloatArray]:
+    """Means and standard deviations (..., t) by a network of t normal quantities, for inputs (..., d).
+
+    ``lowest`` is the least logarithm of a standard deviation; the largest is 1.
+    """
+    values = inputs
+    for weights, biases in layers[:-1]:
+        values = np.tanh(product(values, weights) + biases)
+    weights, biases = layers[-1]
+    mean, logarithm = np.split(product(values, weights) + biases, 2, axis=-1)
+    return mean, np.exp(np.clip(logarithm, lowest, 1.0))
+
+
 @dataclass(frozen=True, eq=False)
 class VibrationMap:
     """Radial rms of a metre [m] as a log-normal distribution: mean and deviation of its decadic logarithm."""
 
-    layers: tuple[tuple[FloatArray, FloatArray], ...]  # weights (inputs, outputs) and biases of three, tanh between
+    layers: Layers  # three
     scene: Scene = field(default_factory=Scene)  # bore, length, probe and air of the insertions
     ranges: FloatArray = field(default_factory=lambda: SHIPPED_RANGES)  # (2, 4) low and high of each of ``CONTEXT``
     scaling: FloatArray | None = None  # (2, 7) centre and spread of the inputs; None: see ``features_of``
@@ -70,7 +89,7 @@ class VibrationMap:
         air: FloatArray,
         context: FloatArray,
         scene: Scene,
-        product: Callable[[FloatArray, FloatArray], FloatArray] = np.matmul,
+        product: Callable[..., FloatArray] = np.matmul,
     ) -> tuple[FloatArray, FloatArray]:
         """Mean and standard deviation (n,) of log10(radial rms / 0.1 mm) of a metre.
 
@@ -88,15 +107,11 @@ class VibrationMap:
         return self.distribution(inputs, product)
 
     def distribution(
-        self, features: FloatArray, product: Callable[[FloatArray, FloatArray], FloatArray] = np.matmul
+        self, features: FloatArray, product: Callable[..., FloatArray] = np.matmul
     ) -> tuple[FloatArray, FloatArray]:
         """Mean and standard deviation (n,) of log10(radial rms / 0.1 mm) at ``features`` (n, 7)."""
-        values = features
-        for weights, biases in self.layers[:-1]:
-            values = np.tanh(product(values, weights) + biases)
-        weights, biases = self.layers[-1]
-        values = product(values, weights) + biases
-        return values[:, 0], np.exp(np.clip(values[:, 1], -5.0, 1.0))
+        mean, deviation = distribution_of(self.layers, features, -5.0, product)
+        return mean[:, 0], deviation[:, 0]
 
     @classmethod
     def load(cls, path: Path = STORED) -> VibrationMap:

@@ -20,6 +20,7 @@ from probe_agents.records.atomic import write_atomically
 from probe_agents.records.quantities import MEASURED, QUANTITIES
 from probe_env import Scene
 from probe_env.arrays import FloatArray
+from probe_env.envs.vibration_map import Layers, distribution_of
 from probe_env.files import FileError, read_arrays
 from probe_env.physics.closed_forms import drag_per_metre, sliding_tension
 from probe_env.physics.model.chain import air_speed
@@ -36,6 +37,7 @@ FLOORS: Final = np.array([1e-2, 0.1, 0.4, 2e-6])
 Found on 48 simulated logs at ``standard``. A response trained at ``fast``, with twice the vibration
 from feeding, needs five times the values for the accelerations."""
 INPUTS, HIDDEN, LAYERS = 10, 64, 3
+MIN_SPREAD: Final = -6.0  # least logarithm of a standard deviation [decades]
 MAX_DEVIATION: Final = 10.0
 """Deviations are clipped here in misfits [standard deviations]."""
 FRICTION, STIFFNESS, DRAG, DAMPING = range(4)
@@ -104,7 +106,7 @@ class Response:
     """Log-normal distribution of each channel of a metre.
 
     Attributes:
-        layers: weights (inputs, outputs) and biases (outputs,), tanh between them.
+        layers: of its network.
         scaling: (2, 10) centre and spread of the inputs.
         ranges: (2, 5) smallest and largest inserted length [m], feed speed [m/s], pull of the air on a metre [N/m],
             helix diameter [m] and radial room of the floats [m] in training.
@@ -114,7 +116,7 @@ class Response:
         misfit: (c + 1,) 99th percentile over simulated logs of the mean squared deviation of each channel, and of all.
     """
 
-    layers: tuple[tuple[FloatArray, FloatArray], ...]
+    layers: Layers
     scaling: FloatArray
     ranges: FloatArray
     shared_covariance: FloatArray
@@ -130,14 +132,9 @@ class Response:
             scene: tube, probe and air, except for the values in ``table``.
         """
         inputs, tension = inputs_of(table, metres, scene)
-        values = (inputs - self.scaling[0]) / self.scaling[1]
-        for weights, biases in self.layers[:-1]:
-            values = np.tanh(values @ weights + biases)
-        weights, biases = self.layers[-1]
-        values = (values @ weights + biases).astype(float)
-        mean, spread = values[..., : len(CHANNELS)], values[..., len(CHANNELS) :]
+        mean, spread = distribution_of(self.layers, (inputs - self.scaling[0]) / self.scaling[1], MIN_SPREAD)
         mean[..., 0] += np.log10(tension)
-        return mean, np.exp(np.clip(spread, -6.0, 1.0))
+        return mean, spread
 
     def outside(self, metres: Metres, scene: Scene) -> list[str]:
         """Texts for everything in a log that is outside the training ranges."""

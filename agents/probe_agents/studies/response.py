@@ -16,7 +16,7 @@ from probe_agents.evaluation.workers import HERE, Workers
 from probe_agents.plant.inference import MIN_METRES
 from probe_agents.plant.logs import Log
 from probe_agents.plant.prior import FRICTION, STIFFNESS
-from probe_agents.plant.response import CHANNELS, INPUTS, Metres, Response, inputs_of, metres_of, observed
+from probe_agents.plant.response import CHANNELS, INPUTS, MIN_SPREAD, Metres, Response, inputs_of, metres_of, observed
 from probe_agents.records.atomic import write_atomically
 from probe_agents.records.manifest import origin, write_json
 from probe_agents.studies.vibration_map import fit_network
@@ -28,6 +28,7 @@ from probe_env.envs.episodes import Episodes
 from probe_env.envs.plants import Tubes
 from probe_env.envs.task.config import TaskConfig
 from probe_env.envs.task.scales import ACCELEROMETER_FLOOR, RF_FLOOR, value_at
+from probe_env.envs.vibration_map import Layers, distribution_of
 from probe_env.errors import StabilityWarning
 from probe_env.fidelity import PRESETS
 from probe_env.files import read_arrays
@@ -67,7 +68,6 @@ RARE: Final = 0.99
 Program = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
 """Feed speeds [m/s] and air supplies [m3/s] of N insertions at inserted lengths [m], (N,) each."""
 Bank = Mapping[str, FloatArray]
-Layers = tuple[tuple[FloatArray, FloatArray], ...]
 _ALL: Final = list(range(len(CHANNELS)))
 
 
@@ -231,7 +231,7 @@ def fit_response(bank: Bank, seed: int = 0) -> tuple[Response, dict[str, float]]
     for fold in range(FOLDS):
         held_out = number % FOLDS == fold
         layers = _network(x[~held_out], targets[~held_out], seed)
-        mean[held_out], spread[held_out] = _forward(layers, x[held_out])
+        mean[held_out], spread[held_out] = distribution_of(layers, x[held_out], MIN_SPREAD)
     residuals = (targets - mean) / spread
     covariances = _covariances(np.clip(residuals, -4.0, 4.0), number, bank["length"])
     layers = _network(x, targets, seed)
@@ -263,16 +263,6 @@ def _network(x: FloatArray, y: FloatArray, seed: int) -> Layers:
     scale = np.concatenate([width, np.ones(len(width))])
     layers[-1] = weights * scale, biases * scale + np.concatenate([centre, np.log(width)])
     return tuple((w.astype(np.float32), b.astype(np.float32)) for w, b in layers)
-
-
-def _forward(layers: Layers, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-    values = x
-    for weights, biases in layers[:-1]:
-        values = np.tanh(values @ weights + biases)
-    weights, biases = layers[-1]
-    values = values @ weights + biases
-    half = values.shape[1] // 2
-    return values[:, :half], np.exp(np.clip(values[:, half:], -6.0, 1.0))
 
 
 def _covariances(residuals: FloatArray, number: FloatArray, length: FloatArray) -> FloatArray:
