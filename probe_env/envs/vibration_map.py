@@ -61,8 +61,8 @@ def distribution_of(
     for weights, biases in layers[:-1]:
         values = np.tanh(product(values, weights) + biases)
     weights, biases = layers[-1]
-    mean, logarithm = np.split(product(values, weights) + biases, 2, axis=-1)
-    return mean, np.exp(np.clip(logarithm, lowest, 1.0))
+    values, count = product(values, weights) + biases, len(biases) // 2
+    return values[..., :count], np.exp(np.clip(values[..., count:], lowest, 1.0))
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,6 +10,7 @@ from probe_env.arrays import BoolArray
 from probe_env.envs.episodes.episodes import Episodes, Step
 from probe_env.envs.task import rules
 from probe_env.envs.task.config import TaskConfig
+from probe_env.envs.task.scales import as_actions
 
 AVERAGED: Final = ("radial_acceleration", "axial_acceleration", "rf_noise", "root_tension")
 """Observations that are averaged over the control periods of an action."""
@@ -25,9 +26,10 @@ def averaged_columns(config: TaskConfig) -> list[int]:
 def changed_targets(
     config: TaskConfig, targets: npt.NDArray[np.floating], actions: npt.NDArray[np.floating]
 ) -> npt.NDArray[np.float32]:
-    """(N, 2) targets in [-1, 1] after actions (N, 2) that start from targets (N, 2)."""
+    """(N, 2) targets in [-1, 1] after actions (N, 2) that start from targets (N, 2); raises as ``check_actions``."""
     if config.change_per_action == 0.0:
         return np.asarray(actions, dtype=np.float32)
+    config.check_actions(actions)
     return np.clip(targets + 2.0 * config.change_per_action * actions, -1.0, 1.0).astype(np.float32)
 
 
@@ -46,17 +48,16 @@ def step_action(
         RuntimeError: an active episode has ended and was not reset.
     """
     config, count = episodes.config, len(episodes)
-    active = running = np.ones(count, dtype=bool) if active is None else np.array(active, dtype=bool)
-    allow_standstill = episodes.allow_standstill and not config.custom_actions
-    checked = config.checked(actions, shape, active, allow_standstill).reshape(count, 2)
+    given = as_actions(actions, shape).reshape(count, 2).astype(np.float32)
     if not config.custom_actions and config.shaping_weight == 0.0:
-        return episodes.advance(checked, active)
-    targets = changed_targets(config, episodes.actions, checked)
+        return episodes.step(given, active)
+    active = running = np.ones(count, dtype=bool) if active is None else np.array(active, dtype=bool)
+    targets = changed_targets(config, episodes.actions, np.where(active[:, None], given, np.float32(0.0)))
     total, before = None, episodes.inserted_length
     columns = averaged_columns(config)
     sums, periods = np.zeros((count, len(columns))), np.zeros((count, 1))
     for _ in range(config.periods_per_action):
-        step = episodes.advance(targets, running)
+        step = episodes.step(targets, running)
         sums += np.where(running[:, None], step.observation[:, columns], 0.0)
         periods += running[:, None]
         total = step if total is None else _merged(total, step)

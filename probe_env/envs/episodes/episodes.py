@@ -29,6 +29,7 @@ from probe_env.envs.episodes.starts import (
 from probe_env.envs.task.config import TaskConfig
 from probe_env.envs.task.observations import SensorModel, normal_draws
 from probe_env.envs.task.rules import FAILURES
+from probe_env.envs.task.scales import as_actions
 from probe_env.envs.vibration_map import VibrationMap, load_for, stored_map
 from probe_env.fidelity import resolve_fidelity
 from probe_env.physics.simulation.window import Window
@@ -219,17 +220,14 @@ class Episodes:
             RuntimeError: an active episode has ended and was not reset.
         """
         stepped = np.ones(len(self), dtype=bool) if active is None else np.asarray(active, dtype=bool)
-        return self.advance(self.config.checked(actions, (len(self), 2), stepped, self.allow_standstill), stepped)
-
-    def advance(self, actions: npt.NDArray[np.float32], stepped: BoolArray) -> Step:
-        """``step`` with valid actions."""
+        given = as_actions(actions, (len(self), 2)).astype(np.float32)
+        given = np.where(stepped[:, None], given, self.actions)  # the others keep their last action
+        targets = self.config.targets(given, self.allow_standstill) * self.direction[:, None]
         if (stepped & ~self.running).any():
             raise RuntimeError(
                 f"episode {np.flatnonzero(stepped & ~self.running)[0]} has ended: call reset before step"
             )
-        actions = np.where(stepped[:, None], actions, self.actions)  # the others keep their last action
-        targets = self.config.scaled(actions) * self.direction[:, None]
-        change, self.actions = actions.astype(float) - self.actions, actions
+        change, self.actions = given.astype(float) - self.actions, given
         record = self.backend.advance(stepped, targets, self.direction, self.rng)
         self.window = window = record.window
         scored = self.scorer.score(record, change)

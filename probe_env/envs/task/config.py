@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import BeforeValidator, Field, ValidationInfo, model_validator
 
-from probe_env.arrays import BoolArray, FloatArray
+from probe_env.arrays import FloatArray
 from probe_env.envs.task.scales import (
     OBSERVATIONS,
     PRIVILEGED,
@@ -313,36 +313,21 @@ class TaskConfig(Observation, Disturbances, Limits, Reward, Actuators, Timing, R
         """
         return np.float32(action_of(fraction_between(0.0, self.feed_speeds)))
 
-    def checked(
-        self,
-        actions: npt.ArrayLike,
-        shape: tuple[int, ...],
-        active: BoolArray | None = None,
-        allow_standstill: bool = False,
-    ) -> npt.NDArray[np.float32]:
-        """Actions of a shape (..., 2) in [-1, 1]; those of probes that are not ``active`` (N,) are 0.
-
-        ``allow_standstill``: the feed action may also be ``standstill``.
-        """
-        values = as_actions(actions, shape).astype(np.float32)
-        if active is not None and not active.all():
-            values = np.where(active[:, None], values, np.float32(0.0))
-        bad = ~(np.abs(values.astype(float)) <= 1.0 + 1e-6)
+    def check_actions(self, actions: npt.NDArray[np.floating], allow_standstill: bool = False) -> None:
+        """Raise ValueError unless actions (N, 2) are in [-1, 1], or a feed is ``standstill`` if that is allowed."""
+        bad = ~(np.abs(actions.astype(float)) <= 1.0 + 1e-6)
         if allow_standstill:
-            bad[..., 0] &= values[..., 0] != self.standstill
+            bad[:, 0] &= actions[:, 0] != self.standstill
         if bad.any():
-            place = tuple(np.argwhere(bad)[0])
-            raise ValueError(f"action[{place[-1]}] = {float(values[place])!r} is outside the accepted range -1 to 1")
-        return values
+            k, column = np.argwhere(bad)[0]
+            value = float(actions[k, column])
+            raise ValueError(f"action[{column}] = {value!r} is outside the accepted range -1 to 1")
 
     def targets(self, actions: npt.ArrayLike, allow_standstill: bool = False) -> FloatArray:
-        """(N, 2) target feed speed [m/s] and air supply [m3/s] of actions (N, 2); raises as ``checked``."""
-        self.checked(actions, (len(np.atleast_1d(np.asarray(actions))), 2), None, allow_standstill)
-        return self.scaled(np.asarray(actions))
-
-    def scaled(self, actions: npt.NDArray[np.floating]) -> FloatArray:
-        """``targets`` of valid actions."""
-        values = actions.astype(float)
+        """(N, 2) target feed speed [m/s] and air supply [m3/s] of actions (N, 2); raises as ``check_actions``."""
+        given = as_actions(actions, (len(np.atleast_1d(np.asarray(actions))), 2))
+        self.check_actions(given, allow_standstill)
+        values = given.astype(float)
         low, high = np.array([self.feed_speeds, self.air_supply_rates]).T
         targets: FloatArray = low + 0.5 * (np.minimum(np.maximum(values, -1.0), 1.0) + 1.0) * (high - low)
         for column, step in enumerate((self.feed_speed_step, self.air_supply_step)):
