@@ -11,10 +11,11 @@ if TYPE_CHECKING:
     from probe_agents.plant.plc_export import structured_text
     from probe_agents.plant.recommendation import optimal_schedule
     from probe_agents.plant.response import stored_response
+    from probe_agents.records.cells import ReadOptions
     from probe_agents.records.reader import read_schedule
 
 __all__ = [
-    "Bounds", "Calibration", "Log", "calibrate", "optimal_schedule", "read_cases", "read_log", "read_schedule",
+    "Bounds", "Calibration", "Log", "ReadOptions", "calibrate", "optimal_schedule", "read_cases", "read_log", "read_schedule",
     "stored_response", "structured_text",
 ]  # fmt: skip
 __getattr__, __dir__ = lazy(__name__)
