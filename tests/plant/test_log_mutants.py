@@ -381,8 +381,8 @@ def cell_and_unit(source: Source, line: str, place: int) -> tuple[str, str]:
     """Cell of a line without the unit behind the number, and that unit."""
     cells = next(csv.reader([line], delimiter=source.separator)) if '"' in line else line.split(source.separator)
     cells += [""] * (place + 1)
-    found = re.fullmatch(r"(.*?\d) ([^\d\s]\S*)", cells[place].strip(' "'))
-    return (found[1], found[2]) if found else (cells[place], "")
+    found = re.fullmatch(r"(.*?\d) ?([A-Za-zµ°]\S*)", cells[place].strip(' "'))
+    return (found[1], found[2]) if found and np.isnan(number(cells[place], source.sign)) else (cells[place], "")
 
 
 @pytest.fixture

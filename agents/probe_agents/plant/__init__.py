@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from probe_agents.records.reader import read_schedule
 
 __all__ = [
-    "Bounds", "Calibration", "Log", "ReadOptions", "calibrate", "optimal_schedule", "read_cases", "read_log", "read_schedule",
-    "stored_response", "structured_text",
+    "Bounds", "Calibration", "Log", "ReadOptions", "calibrate", "optimal_schedule", "read_cases", "read_log",
+    "read_schedule", "stored_response", "structured_text",
 ]  # fmt: skip
 __getattr__, __dir__ = lazy(__name__)
