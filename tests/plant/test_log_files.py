@@ -543,7 +543,7 @@ def test_options_that_do_not_fit(tmp_path):
         ({"rate": 10.0}, "the column 'time [s]' is the time: leave --rate out, or --columns 'time=none'"),
         ({"rate": 0.0}, "rate = 0.0 Hz is outside the accepted range 0.001 to 1e+06 Hz"),
         ({"passage": "back"}, "pass = 'back' is not in, out or the number of a pass"),
-        ({"passage": "2"}, "one pass (1: insertion, lines 2 to 5, 5 to 5.6 m): a log is of an insertion"),
+        ({"passage": "2"}, "one pass (insertion, lines 2 to 5, 5 to 5.6 m): a log is of an insertion"),
         ({"encoding": "cp0"}, "encoding = 'cp0' is not known, unlike utf-8, cp1252, cp932 or cp1251"),
         ({"sheet": "A"}, "not a workbook, so it has no sheet 'A': leave --sheet out"),
         ({"decimal": "dot"}, "decimal = 'dot' is not one of auto, point, comma"),

@@ -217,34 +217,29 @@ def _one_pass(
     notes: list[str],
 ) -> tuple[FloatArray, dict[str, FloatArray], IntArray]:
     """The rows of one pass: time (n,), values (n,) and rows (n,) as of ``_merged``; a withdrawal from its end."""
-    table, speed, encoder = channels.table, values.get("feed_speed"), values.get("inserted_length")
-    motion = encoder if encoder is not None and np.isfinite(encoder).any() else None
-    if motion is None and speed is not None:
-        motion = np.concatenate([[0.0], np.cumsum(np.nan_to_num(speed[:-1]) * np.diff(time))])
-        present = speed[~np.isnan(speed)]
-        if not passage and motion[-1] < -TURN and (present <= 0.0).all():
+    table, motion = channels.table, values.get("inserted_length")
+    if motion is None or np.isnan(motion).all():
+        speed = np.nan_to_num(values["feed_speed"]) if "feed_speed" in values else np.zeros(len(time))
+        motion = np.concatenate([[0.0], np.cumsum(speed[:-1] * np.diff(time))])
+        if not passage and speed.max() <= 0.0 and motion[-1] < -TURN:
             k = channels.indices["feed_speed"]
             turned = table.option(k, "feed_speed", f"-{table.written_unit(k) or 'm/s'}")
             hint = f"is its sign reversed ({turned}), or is it a withdrawal (--pass out)?"
             raise table.error(rows[0], f"the feed is negative throughout: {hint}", k)
-    if motion is None:
-        return time, values, rows
-    valid = np.flatnonzero(np.isfinite(motion))
-    passes = _passes(np.interp(time, time[valid], motion[valid]))
+    valid = ~np.isnan(motion)
+    motion = np.interp(time, time[valid], motion[valid])
+    passes = _passes(motion)
     texts = [
-        f"{k}: {'insertion' if inward else 'withdrawal'},"
-        f" {table.row_word}s {table.lines[rows[a]]} to {table.lines[rows[b - 1]]},"
-        f" {motion[valid[np.searchsorted(valid, a)]]:.4g} to {motion[valid[np.searchsorted(valid, b) - 1]]:.4g} m"
+        f"{k}: {'insertion' if inward else 'withdrawal'}, {table.row_word}s {table.lines[rows[a]]} to"
+        f" {table.lines[rows[b - 1]]}, {motion[a]:.4g} to {motion[b - 1]:.4g} m"
         for k, (a, b, inward) in enumerate(passes, start=1)
     ]
     wanted = passage or "in"
     found = [k for k, one in enumerate(passes, start=1) if wanted in (str(k), "in" if one[2] else "out")]
     if len(found) != 1:
-        problem = f"{len(passes)} passes ({'; '.join(texts)})" if len(passes) > 1 else f"one pass ({texts[0]})"
+        problem = f"{len(passes)} passes ({'; '.join(texts)})" if len(passes) > 1 else f"one pass ({texts[0][3:]})"
         hint = "choose one, --pass NUMBER" if len(passes) > 1 else "a log is of an insertion"
-        if passes[0][2:] == (False,) and len(passes) == 1:
-            problem = f"no insertion ({texts[0][3:]})"
-            hint = "--pass out reads a withdrawal from its end, as if time ran backwards"
+        hint += "; --pass out reads a withdrawal from its end, as if time ran backwards" * (len(passes) == 1)
         raise FileError(table.path, f"{problem}: {hint}")
     begin, end, inward = passes[found[0] - 1]
     if len(passes) > 1 or not inward:
