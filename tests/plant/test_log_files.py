@@ -200,7 +200,7 @@ CHANGED = [
     ("1;5.20;0.20;63.0", "1;5.20;0.20;63.0;7;8", "line 3: 6 values for 4 columns"),
     *(("5.40", cell, NUMBER.format(cell)) for cell in ("fast", "off", "inf", "1e999", "=1+1", "5,40,1.5")),
     ("2;5.40;0.20;63.0", HEAD[:-1], "line 4, column 'time [s]': 'time [s]' is not a finite"),
-    ("5.40", "5,40", "line 4, column 'length [m]': '5,40' has another decimal sign"),
+    ("5.40", "5,40", "line 4, column 'length [m]': '5,40' is not a finite number with the decimal sign '.'"),
     ("\n2;", "\n0.5;", "line 4, column 'time [s]': the time '0.5' is 0.5 s before the row"),
     ("\n3;", "\n3e9;", "line 5, column 'time [s]': 3e+09 s are more than 100000 s"),
     ("\n3;", "\n9;", "lines 4 to 5: no rows for 7 s, more than the 5 s"),
@@ -262,7 +262,7 @@ BROKEN = [
     (lines(row=CLOCK, c=lambda t, _: f"9h0m{t}s"), "'9h0m0s' is not a time like 2024-05-31T14:05:09.25, 31.05.2024"),
     (
         lines(head=MS_HEAD, row="{c};{mm};{x};{v};{a}", c="%H:%M:%S"),
-        "line 2, column 'ms': '5000.0' is not a fraction of a second, 0 to less than 1 s: leave it out, --columns 'ms=",
+        "line 2, column 'ms': fraction = 5 s is outside the accepted range 0 to 1 s - leave it out, --columns 'ms=",
     ),
     (HOLE, "lines 4 to 14: column 'length [m]' has no values for 10 s, more than the 5 s"),
     (
@@ -377,6 +377,8 @@ def test_markers_of_missing_values_are_interpolated_and_counted(tmp_path):
 def test_numbers_that_are_no_markers(tmp_path):
     path = rig(tmp_path / "rig.csv", [f"{tension} N" for tension in TENSIONS])
     assert read(path).measured["root_tension"] == RAMP
+    path.write_text(path.read_text().replace("2.4 N", "NaN"))
+    assert read(path).measured["root_tension"] == RAMP
     path.write_text(path.read_text().replace("2.3 N", "2.3 kN"))
     with pytest.raises(FileError, match=r"line 2, column 'tension \[N\]': '2.0 N' is not a.* heading: correct it$"):
         read(path)
@@ -386,6 +388,13 @@ def test_numbers_that_are_no_markers(tmp_path):
     log = read(path)
     assert log.inserted_length[2] == pytest.approx(9.999, abs=1e-6)
     assert (log.repairs.missing, log.notes) == (0, ())
+
+
+def test_a_group_of_thousands_does_not_begin_with_zero(tmp_path):
+    path = tmp_path / "rig.csv"
+    path.write_text("time [s];length [mm];air [m3/h]\n0;0.500;63\n1;0.600;63")
+    with pytest.raises(FileError, match=r"'0.500' is not a finite number with the decimal sign ','"):
+        read(path, decimal="comma")
 
 
 def test_repeated_overload_must_be_declared(tmp_path):

@@ -2,8 +2,7 @@
 
 import csv
 import re
-from collections.abc import Iterator, Sequence
-from contextlib import suppress
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -51,10 +50,9 @@ _SPACED_TIME: Final = (
     r"(\d{1,4}[-/.]\w{1,3}[-/.]\d{1,4})[ \t]+(\d{1,2}:\d\d)", r"\1T\2"
 ), (r"(?i)(:\d\d(?:[.,]\d+)?)[ \t]+([ap]\.?m)\b", r"\1\2")  # fmt: skip
 """Date and clock, and clock and AM, which belong together in a file of spaces."""
-_END_PIPES: Final = r"^\s*\||\|\s*$"
 NUMBER_OR_TIME: Final = re.compile(r"[+-]?[\d.,'  ]*\d[\d.,'  ]*(?:[eE][+-]?\d+)?|\d[\d:.,TZ +-]*:[\d:.,TZ +-]*")
 _SERIES: Final = ("field", "series", "variable", "channel", "kanal", "tag", "tagname", "signal", "measurement", "name")
-_VALUE: Final = {"value", "wert"}
+_VALUE: Final = ("value", "wert")
 """Heads of a file in long form: a row for each value."""
 
 
@@ -154,22 +152,24 @@ def read_table(path: Path, options: ReadOptions) -> Table:
             tables[name] = _table_of(path, source, options.named)
         except NoHeaderError as error:
             problems.append(error)
+    first = next(iter(sources))
+    if not tables and len(sources) > 1:
+        names = listed(list(sources))
+        raise FileError(path, f"no sheet has a header with two known quantities; there are {names}: --sheet NAME")
     if not tables:
-        encoding = next(source.encoding for source in sources.values()) if "" in sources else ""
-        if encoding == "cp1252" and not options.encoding and (guess := guessed_encoding(path)) not in ("", "cp1252"):
-            hint = f"read as {guess}; --encoding NAME names another"
-            try:
-                table = _table_of(path, read_sources(path, None, guess)[""], options.named)
-            except FileError as error:
-                raise FileError(path, f"{error.problem} ({hint})") from None
-            return replace(table, notes=(*table.notes, f"The text is {hint}."))
-        if len(sources) > 1:
-            listed = ", ".join(repr(name[:60]) for name in list(sources)[:20])
-            raise FileError(path, f"no sheet has a header with two known quantities; there are {listed}: --sheet NAME")
-        raise problems[0]
-    name, table = next(iter(tables.items()))
-    if len(sources) > 1 and (name != next(iter(sources)) or len(tables) > 1):
-        more = "".join(f"; {other!r} has, too" for other in list(tables)[1:2])
+        guess = guessed_encoding(path) if sources[first].encoding == "cp1252" and not options.encoding else ""
+        if guess in ("", "cp1252"):
+            raise problems[0]
+        hint = f"read as {guess}; --encoding NAME names another"
+        try:
+            table = _table_of(path, read_sources(path, None, guess)[""], options.named)
+        except FileError as error:
+            raise FileError(path, f"{error.problem} ({hint})") from None
+        return replace(table, notes=(*table.notes, f"The text is {hint}."))
+    name, *others = tables
+    table = tables[name]
+    if name != first or others:
+        more = f"; {others[0]!r} has, too" if others else ""
         table = replace(table, notes=(*table.notes, f"The sheet {name!r} is read, which has known headings{more}."))
     return table
 
@@ -184,47 +184,27 @@ class _Header(NamedTuple):
 
 
 def _table_of(path: Path, source: Source, options: Sequence[ColumnOption]) -> Table:
-    lines, word = source.lines, source.word
-    text = word == "line"
+    lines, word, is_text = source.lines, source.word, source.word == "line"
     if len(lines) > MAX_ROWS:
         raise FileError(path, f"{len(lines)} {word}s are more than the {MAX_ROWS} accepted in a log: cut it")
     if not any(map(str.strip, lines)):
-        hint = "" if text else "; --sheet names another"
+        hint = "" if is_text else "; --sheet names another"
         raise NoHeaderError(path, f"empty: a header and rows of numbers are needed{hint}")
-    headers = list(_headers(lines, text, options))
-    head = max(headers, key=lambda header: _named(header.cells, options), default=_Header(0, 1, "", []))
-    if _named(head.cells, options) < 2:
-        several = [h for h in headers if len(h.cells) > text and h.separator != " "] or headers[:1] or [head]
-        best = max(several, key=lambda h: sum(1 for cell in h.cells if cell and not NUMBER_OR_TIME.fullmatch(cell)))
-        problem = f"no header with two known quantities; found: {listed(best.cells) or 'none'}"
-        unknown = next((cell for cell in best.cells if cell and quantity_of(cell) is None), "HEAD").replace("'", "")
-        hint = f"declare them: --columns '{unknown[:60]}=QUANTITY[UNIT]', with QUANTITY one of {', '.join(NAMES)}"
-        if best.cells and all(not cell or NUMBER_OR_TIME.fullmatch(cell) for cell in best.cells):
-            hint = "is the header missing? Write one above the rows, like 'time [s]', 'length [m]', 'air [m3/h]'"
-        raise NoHeaderError(path, f"{word} {best.first + 1}: {problem} - {hint}")
-    first, end, separator, heads = head
-    if separator == "|" and lines[first].lstrip().startswith("|"):
-        lines = [re.sub(_END_PIPES, "", line) for line in lines]
+    first, end, separator, heads = _header(path, source, options)
     if len(heads) > MAX_COLUMNS:
         raise FileError(path, f"{word} {first + 1}: {len(heads)} columns are more than {MAX_COLUMNS}")
-    remarks = (line for line in lines[:first] if line.startswith(CSV_COMMENT))
-    steps = any(line.partition(":")[2].strip() == "steps" for line in remarks)
-    body = lines[end:]
-    if not text:  # cells at the end of a row may be empty
-        body = [line + "\t" * (len(heads) - 1 - line.count("\t")) for line in body]
-    rows = pa.array(body, pa.large_string())
-    labels = next((line for line in lines[:end] if line.startswith("Y_Unit_Label")), "")  # of LabVIEW
+    steps = any(line.startswith(CSV_COMMENT) and line.partition(":")[2].strip() == "steps" for line in lines[:first])
+    rows = pa.array(lines[end:], pa.large_string())
     repeated = np.asarray(pc.is_in(rows, pa.array([line for line in lines[first:end] if line], pa.large_string())))
-    summary = matches(rows, _SUMMARY)
+    summary, notes = matches(rows, _SUMMARY), [*source.notes]
+    skipped = repeated | summary | matches(rows, _COMMENT if is_text else r"^\s*$") & ~matches(rows, _TOO_NARROW)
     wide = np.asarray(pc.count_substring(rows, separator)) >= len(heads) - 1
-    comment = matches(rows, r"^\s*[#%!].*\d") & wide if separator != " " else np.zeros_like(summary)
-    skipped = repeated | summary | matches(rows, _COMMENT if text else r"^\s*$") & ~matches(rows, _TOO_NARROW)
-    notes = [*source.notes]
+    comment = skipped & wide & matches(rows, r"^\s*[#%!].*\d") & (separator != " ")
     above = np.array(
-        [sum(map(bool, map(NUMBER_OR_TIME.fullmatch, _split(line, separator)))) > 1 for line in lines[:first]]
+        [sum(NUMBER_OR_TIME.fullmatch(c) is not None for c in _split(r, separator)) for r in lines[:first]]
     )
     for left_out, what, start in (
-        (above, "is above the header", 1),
+        (above > 1, "is above the header", 1),
         (repeated, "repeats the header", end + 1),
         (summary, "is of statistics (Min, Max, Mean)", end + 1),
         (comment, "is a comment", end + 1),
@@ -233,70 +213,84 @@ def _table_of(path: Path, source: Source, options: Sequence[ColumnOption]) -> Ta
             number, more = int(left_out.argmax()) + start, int(left_out.sum()) - 1
             notes.append(f"Left out: {word} {number} {what}" + f", and {more} more" * bool(more) + ".")
     numbers = np.flatnonzero(~skipped) + end + 1
-    below = _split(lines[numbers[0] - 1], separator) if len(numbers) else []
-    filled_below = [cell for cell in below if cell]
-    units = [*["", *_split(labels, separator)[1:]][: len(heads)], *[""] * len(heads)][: len(heads)]
-    if filled_below and all(looks_like_unit(cell) and not NUMBER_OR_TIME.fullmatch(cell) for cell in filled_below):
-        units = [*(cell.strip("[]() ") for cell in below), *units][: len(heads)]
-        numbers = numbers[1:]
-        third = [cell for cell in _split(lines[numbers[0] - 1], separator) if cell] if len(numbers) else []
-        if third and not any(re.search(r"^[\d+.,-]|\d:\d", cell) or re.match(MISSING, cell) for cell in third):
-            numbers = numbers[1:]  # names of objects, or "Smp" and "Avg"
+    labels = next((line for line in lines[:end] if line.startswith("Y_Unit_Label")), "")  # of LabVIEW
+    units = ["", *_split(labels, separator)[1:]] if labels else []
+    below, third = ([*(_split(lines[number - 1], separator) for number in numbers[:2]), [], []])[:2]
+    if any(below) and all(looks_like_unit(cell) and not NUMBER_OR_TIME.fullmatch(cell) for cell in below if cell):
+        # a row of units, and in some files one of names of objects, or of "Smp" and "Avg"
+        values = (cell for cell in third if cell and (re.search(r"^[\d+.,-]|\d:\d", cell) or re.match(MISSING, cell)))
+        is_third = any(third) and not any(values)
+        units, numbers = [cell.strip("[]() ") for cell in below], numbers[1 + is_third :]
+    units = [*units, *[""] * len(heads)][: len(heads)]
     if not len(numbers):
         raise FileError(path, f"{word} {first + 1}: a header without rows below it: at least two are needed")
     columns = _columns(path, rows.take(pa.array(numbers - end - 1)), numbers, separator, heads, word)
-    separator = separator if text else ""
+    separator = separator if is_text else ""
     table = Table(path, tuple(heads), tuple(units), columns, numbers, word, separator, steps, source.null, tuple(notes))
-    return _pivoted(table) if _is_long(heads) else table
+    long_form = _long_form(heads)
+    return _pivoted(table, *long_form) if long_form else table
 
 
-def _headers(lines: Sequence[str], text: bool, options: Sequence[ColumnOption]) -> Iterator[_Header]:
-    """Lines that may be the header, also with names of channels in the line below the name of the time."""
-    filled = [k for k, line in enumerate(lines[: 10 * HEAD_WITHIN]) if line.strip()][:HEAD_WITHIN]
+def _header(path: Path, source: Source, options: Sequence[ColumnOption]) -> _Header:
+    """The line that names most quantities, or two: some names of channels are below the name of the time."""
+    is_text, headers = source.word == "line", list[_Header]()
+    filled = [k for k, line in enumerate(source.lines[: 10 * HEAD_WITHIN]) if line.strip()][:HEAD_WITHIN]
     for k, below in zip(filled, [*filled[1:], 0], strict=False):
-        for separator in SEPARATORS if text else ("\t",):
-            if separator == " " and max(map(lines[k].count, ";|,\t")) > 1:
+        line, next_line = (source.lines[n][: 100 * MAX_COLUMNS] for n in (k, below))
+        for separator in SEPARATORS if is_text else ("\t",):
+            if separator == " " and max(map(line.count, ";|,\t")) > 1:
                 continue  # a file of commas is not one of spaces
-            line = _uncommented(lines[k])[: 100 * MAX_COLUMNS]
-            if separator == "|" and line.lstrip().startswith("|"):
-                line = re.sub(_END_PIPES, "", line)
-            cells = _split(line, separator)
-            yield _Header(k, k + 1, separator, cells)
-            lower = _split(lines[below][: 100 * MAX_COLUMNS], separator)
+            cells, lower = _split(re.sub(r"^\s*[#%!]", "", line), separator), _split(next_line, separator)
+            headers.append(_Header(k, k + 1, separator, cells))
             if below and len(lower) == len(cells) and not any(map(NUMBER_OR_TIME.fullmatch, lower)):
                 both = [low or high for low, high in zip(lower, cells, strict=True)]
-                if _named(both, options) > max(_named(cells, options), _named(lower, options)):
-                    yield _Header(k, below + 1, separator, both)
+                headers.append(_Header(k, below + 1, separator, both))
+    head = max(headers, key=lambda h: (_named(h.cells, options), h.first - h.end), default=_Header(0, 1, "", []))
+    if _named(head.cells, options) >= 2:
+        return head
+
+    def words(header: _Header) -> tuple[bool, bool, int, int]:
+        number = sum(1 for cell in header.cells if cell and not NUMBER_OR_TIME.fullmatch(cell))
+        return header.separator != " ", len(header.cells) > is_text, number, header.first - header.end
+
+    best = max(headers, key=words, default=head)
+    hint = f"declare them: --columns '{unknown_head(best.cells)}=QUANTITY[UNIT]', with QUANTITY one of "
+    hint += ", ".join(NAMES)
+    if best.cells and not words(best)[2]:
+        hint = "is the header missing? Write one above the rows, like 'time [s]', 'length [m]', 'air [m3/h]'"
+    problem = f"no header with two known quantities; found: {listed(best.cells) or 'none'}"
+    raise NoHeaderError(path, f"{source.word} {best.first + 1}: {problem} - {hint}")
 
 
 def _named(cells: Sequence[str], options: Sequence[ColumnOption]) -> int:
     """Number of quantities that a row names."""
     named = {option.quantity for cell in cells if cell for option in options if option.means(cell)}
-    return max(len(named | {name for cell in cells if (name := quantity_of(cell))}), 2 * _is_long(cells))
+    return max(len(named | {name for cell in cells if (name := quantity_of(cell))}), 2 * bool(_long_form(cells)))
 
 
-def _is_long(heads: Sequence[str]) -> bool:
-    words = {normalized(split_head(head)[0]) for head in heads}
-    return bool(words.intersection(_SERIES) and words & _VALUE) and any(quantity_of(head) == "time" for head in heads)
+def _long_form(heads: Sequence[str]) -> tuple[int, int, int] | None:
+    """Columns of the time, the series and the value in a file with a row for each value; None for other files."""
+    words = [normalized(split_head(head)[0]) for head in heads]
+    times = [k for k, head in enumerate(heads) if quantity_of(head) == "time"]
+    series, values = ([words.index(word) for word in known if word in words] for known in (_SERIES, _VALUE))
+    return (times[0], series[0], values[0]) if times and series and values else None
 
 
-def _pivoted(table: Table) -> Table:
+def _pivoted(table: Table, time: int, series: int, value: int) -> Table:
     """A table in long form with a column for each series; all must have the same times."""
-    words = [normalized(split_head(head)[0]) for head in table.heads]
-    time = next(k for k, head in enumerate(table.heads) if quantity_of(head) == "time")
-    value = next(k for k, word in enumerate(words) if word in _VALUE)
-    series = next(words.index(word) for word in _SERIES if word in words)
     names = pc.unique(table.columns[series]).to_pylist()
-    parts = [np.flatnonzero(np.asarray(pc.equal(table.columns[series], name))) for name in names]
-    times = [table.columns[time].take(pa.array(part)) for part in parts]
+    parts = [pc.equal(table.columns[series], name) for name in names]
+    times = [table.columns[time].filter(part) for part in parts]
     if not all(other.equals(times[0]) for other in times):
         problem = f"long form, a row for each value of {listed(names)}, with different times"
         raise FileError(table.path, f"{problem}: pivot it, one time and a column for each")
-    columns = (times[0], *(table.columns[value].take(pa.array(part)) for part in parts))
-    heads = (table.heads[time], *names)
-    notes = (*table.notes, f"Long form: {listed(names)} are columns of {table.heads[value]!r}.")
     return replace(
-        table, heads=heads, units=("",) * len(heads), columns=columns, lines=table.lines[parts[0]], notes=notes
+        table,
+        heads=(table.heads[time], *names),
+        units=("",) * (1 + len(names)),
+        columns=(times[0], *(table.columns[value].filter(part) for part in parts)),
+        lines=table.lines[np.asarray(parts[0])],
+        notes=(*table.notes, f"Long form: {listed(names)} are columns of {table.heads[value]!r}."),
     )
 
 
@@ -305,76 +299,67 @@ def listed(heads: Sequence[str]) -> str:
     return ", ".join(repr(head[:60]) for head in heads[:HEADS_SHOWN]) + (" ..." if len(heads) > HEADS_SHOWN else "")
 
 
-def _uncommented(line: str) -> str:
-    return re.sub(r"^\s*[#%!]", "", line)
+def unknown_head(heads: Sequence[str]) -> str:
+    """The first unknown heading, for ``--columns`` in an error."""
+    return next((head for head in heads if head and quantity_of(head) is None), "HEAD").replace("'", "")[:60]
 
 
-def _split(line: str, separator: str) -> list[str]:
-    """Cells of a header or a row of units."""
+def _split(line: str, separator: str, strict: bool = False) -> list[str]:
+    """Trimmed cells of a line; if ``strict``, a csv.Error for quotes in wrong places."""
+    if '"' in line and (strict or separator != " "):
+        try:
+            reader = csv.reader([line], delimiter=separator, skipinitialspace=True, strict=strict)
+            return [cell.strip() for cell in next(reader)]
+        except csv.Error:
+            if strict:
+                raise
     if separator == " ":
-        for pattern, joined in _SPACED_TIME:
-            line = re.sub(pattern, joined, line)
         return re.split(r"\s+(?![\[(])", line.strip())  # a unit belongs to its word
-    cells = line.split(separator)
-    if '"' in line:
-        with suppress(csv.Error):
-            cells = next(csv.reader([line], delimiter=separator, skipinitialspace=True))
-    return [cell.strip() for cell in cells]
+    return [cell.strip() for cell in line.split(separator)]
 
 
 def _columns(
     path: Path, lines: Any, numbers: IntArray, separator: str, heads: Sequence[str], word: str
 ) -> tuple[Any, ...]:
-    """Trimmed texts (rows,) of every column; empty below last heads that no row fills."""
-    count = len(heads)
-    if word == "line" and pc.any(pc.match_substring(lines, '"')).as_py():
-        cells = pa.array(_quoted_rows(path, lines.to_pylist(), numbers, separator, count), pa.list_(pa.large_string()))
-    elif separator == " ":
+    """Trimmed texts (rows,) of every column; empty where a row may have no cell."""
+    count, is_text = len(heads), word == "line"
+    if separator == " ":
         for pattern, joined in _SPACED_TIME[any(quantity_of(head) == DATE for head in heads) :]:
             lines = pc.replace_substring_regex(lines, pattern, joined)
+    if is_text and pc.any(pc.match_substring(lines, '"')).as_py():
+        rows = list[list[str]]()
+        try:
+            rows.extend(_split(line, separator, strict=True) for line in lines.to_pylist())
+        except csv.Error as error:
+            raise FileError(path, f"line {numbers[len(rows)]}: not CSV: {error}") from error
+        cells = pa.array(rows, pa.list_(pa.large_string()))
+    elif separator == " ":
         cells = pc.utf8_split_whitespace(pc.utf8_trim_whitespace(lines))
     else:
-        end = re.escape(separator) + r"[ ]*$"
-        counts = np.asarray(pc.count_substring(lines, separator))
-        # LabVIEW writes a comment in some rows only; behind commas, decimal commas would look like one
-        if heads[-1].casefold() == "comment" and separator != "," and (counts == count - 2).any():
-            lines = pc.if_else(pa.array(counts == count - 2), pc.replace_substring_regex(lines, "$", separator), lines)
-        closed = counts == count  # a separator after the last cell
-        if (closed & matches(lines, end)).any():
-            lines = pc.if_else(pa.array(closed), pc.replace_substring_regex(lines, end, ""), lines)
         cells = pc.split_pattern(lines, separator)
-    lengths = np.asarray(pc.list_value_length(cells))
-    filled = count
-    if (lengths == lengths[0]).all() and not any(map(quantity_of, heads[lengths[0] :])):
-        filled = min(count, int(lengths[0]))
-    wrong = np.flatnonzero(lengths != filled)
-    if len(wrong):
-        k = int(wrong[0])
-        hint = f"correct that {word} or delete it"
-        if k == len(lengths) - 1 and lengths[k] < count:
-            hint = "the file ends within it: delete that line"
-        if len(wrong) == len(lengths) > 1 and lengths[k] < count:
-            hint = "the header has more names than the rows have values: correct it"
-        elif separator == "," and len(wrong) == len(lengths) and lengths[k] > count:
-            hint = "decimal commas and separating commas are ambiguous: export it with semicolons"
-        values = f"{lengths[k]} values for {count} columns" + f", separated by {SEPARATORS[separator]}" * (
-            word == "line"
-        )
-        raise FileError(path, f"{word} {numbers[k]}: {values} - {hint}")
     flat = pc.utf8_trim(pc.list_flatten(cells), " \t\u00a0\u2009\u202f\ufeff")
-    empty = pa.array([""], pa.large_string()).take(pa.array(np.zeros(len(lengths), dtype=int)))
-    columns = (flat.take(pa.array(np.arange(k, len(flat), filled))) for k in range(filled))
-    return (*columns, *[empty] * (count - filled))
+    flat = pa.concat_arrays([flat, pa.array([""], flat.type)])
+    lengths = np.asarray(pc.list_value_length(cells))
+    starts = np.cumsum(lengths) - lengths
 
+    def column(k: int) -> Any:
+        return flat.take(pa.array(np.where(k < lengths, starts + k, len(flat) - 1)))
 
-def _quoted_rows(path: Path, lines: list[str], numbers: IntArray, separator: str, count: int) -> list[list[str]]:
-    reader = csv.reader(lines, delimiter=separator, strict=True, skipinitialspace=True)
-    rows: list[list[str]] = []
-    try:
-        for row in reader:
-            rows.append(row[:-1] if len(row) == count + 1 and not row[-1].strip() else row)
-            if reader.line_num != len(rows):
-                raise FileError(path, f"line {numbers[len(rows) - 1]}: a quote is not closed")
-    except csv.Error as error:
-        raise FileError(path, f"line {numbers[len(rows)]}: not CSV: {error}") from error
-    return rows
+    closed = (lengths == count + 1) & np.asarray(pc.equal(column(count), ""))  # a separator after the last cell
+    short = lengths < count
+    if is_text and ((lengths != lengths[0]).any() or any(map(quantity_of, heads[lengths[0] :]))):
+        # LabVIEW writes a comment in some rows only; behind commas, decimal commas would look like one
+        short &= (lengths == count - 1) & (heads[-1].casefold() == "comment" and separator != ",")
+    good = (lengths == count) | closed | short
+    if good.all():
+        return tuple(map(column, range(count)))
+    k = int(good.argmin())
+    hint = f"correct that {word} or delete it"
+    if not good.any() and len(good) > 1 and lengths[k] < count:
+        hint = "the header has more names than the rows have values: correct it"
+    elif k == len(good) - 1 and lengths[k] < count:
+        hint = "the file ends within it: delete that line"
+    elif not good.any() and separator == "," and lengths[k] > count:
+        hint = "decimal commas and separating commas are ambiguous: export it with semicolons"
+    values = f"{lengths[k]} values for {count} columns" + f", separated by {SEPARATORS[separator]}" * is_text
+    raise FileError(path, f"{word} {numbers[k]}: {values} - {hint}")
