@@ -6,6 +6,7 @@ import re
 import zipfile
 from datetime import datetime, time, timedelta
 
+import pandas as pd
 import pytest
 
 from probe_agents.plant.cleaning import Bounds
@@ -161,6 +162,8 @@ FOREIGN = {
     "a LAS file": "~Version\n VERS. 2.0 : LAS\n WRAP. NO :\n~Curve\n TIME.S : time\n LENGTH.M : length\n"
     " FEED.M/MIN : feed\n AIR.M3/H :\n~A  TIME LENGTH FEED AIR\n" + lines("  ", head="", row="{t};{x};12.0;{a}")[1:],
     "other columns": lines(head=HEAD + ";p [bar];note", row=SHORT + ";1.013;ok"),
+    "a table of pandas with missing numbers": pd.read_csv(io.StringIO(lines(head=HEAD + ";p", row=SHORT + ";")), sep=";")
+    .convert_dtypes().to_parquet(),
     "a sheet": sheet(
         ["rig 3"], ["Zeit", "Weg", "Vorschub", "Luft"], ["s", "mm", "mm/s", "m³/h"],
         *([t, 1e3 * x, 200, 63.0] for t, x in ROWS),

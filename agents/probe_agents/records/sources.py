@@ -20,13 +20,12 @@ from importlib import import_module
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from probe_agents.records.binary import MAX_MEMORY
 from probe_env.files import MEBI, FileError, read_bytes
 
 MAX_BYTES: Final = 256 * MEBI
 """Size of a file, also unpacked."""
-MAX_SECONDS: Final = 60.0
-"""Time of the process that reads binary files."""
+MAX_SECONDS, MAX_MEMORY = 60.0, 4 << 30
+"""Time [s] and memory [bytes] of the process that reads binary files."""
 _PACKED: Final = {b"\x1f\x8b": gzip, b"BZh": bz2, b"\xfd7zXZ": lzma}
 _BROKEN: Final = (OSError, EOFError, RuntimeError, zipfile.BadZipFile, zlib.error, lzma.LZMAError)
 _ZIP: Final = b"PK\x03\x04"
@@ -39,11 +38,8 @@ _BINARY: Final = {
 """Reader (of pandas, but for workbooks) -> how its files begin."""
 _OTHER: Final = {b"MATLAB": "a MATLAB file", b"\x89HDF": "an HDF5 file", b"TDSm": "a TDMS file of LabVIEW"}
 _CONTROL: Final = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f]")
-_OPEN_QUOTE: Final = re.compile(r'(?:^|[;,\t|])\s*"[^"]*$')
-MAX_WRAPPED: Final = 5
-"""Line breaks within the quotes of a cell."""
-
-
+_WRAPPED: Final = re.compile(r"""(?m)(?:^|[;,\t|]) *"(?:[^"\n]|"")*(?:\n(?:[^"\n]|"")*){1,5}"(?= *(?:[;,\t|]|$))""")
+"""A quoted cell with up to five line breaks."""
 WORKBOOKS: Final = (".xlsx", ".xlsm", ".xlsb", ".xls", ".ods")
 _WITH_SHEET: Final = re.compile(rf"(.+(?:{'|'.join(map(re.escape, WORKBOOKS))}))#(.+)", re.IGNORECASE)
 
@@ -90,10 +86,14 @@ def read_sources(path: Path, sheet: str | None, encoding: str) -> dict[str, Sour
         raise FileError(path, f"not a workbook, so it has no sheet {sheet[:80]!r}: leave --sheet out")
     if reader:
         return {name: Source(lines) for name, lines in _by_library(path, content, reader, sheet).items()}
-    filled = content.rstrip(b"\0")
-    cut = len(content) - len(filled) if b"\0" not in filled else 0  # else UTF-16 or not a text
-    text, encoding = _decoded(path, content[: len(content) - cut], encoding)
-    lines, null = _unwrapped(text.split("\n")), tuple[str, ...]()
+    filled, cut = content.rstrip(b"\0"), 0
+    if b"\0" not in filled:  # else UTF-16 or not a text
+        content, cut = filled, len(content) - len(filled)
+    text, encoding = _decoded(path, content, encoding)
+    text = _WRAPPED.sub(lambda cell: cell[0].replace("\n", "\v"), text)
+    lines, null = text.split("\n"), tuple[str, ...]()
+    if "\v" in text:  # each line keeps its number
+        lines = [part for line in lines for part in (line.replace("\v", " "), *[""] * line.count("\v"))]
     if lines[0].upper().startswith("~V"):
         lines, null = _las_lines(path, lines)
     if lines[0].startswith("Name\t") and any(line.startswith("SymbolComment") for line in lines[:40]):
@@ -134,12 +134,11 @@ def _unpacked(path: Path, content: bytes) -> bytes:
 
 def _decoded(path: Path, content: bytes, encoding: str) -> tuple[str, str]:
     """Text and encoding of a file."""
-    begin = content[:1000]
-    names = [encoding] if encoding else ["utf-8-sig", "cp1252"]
+    names, zeros = [encoding] if encoding else ["utf-8-sig", "cp1252"], [content[k:1000:2].count(0) for k in (0, 1)]
     if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         names = ["utf-16"]
-    elif len(begin) > 3 and not encoding:
-        names = [f"utf-16-{e}" for e, k in (("le", 1), ("be", 0)) if begin[k::2].count(0) > 0.4 * len(begin)] or names
+    elif not encoding and max(zeros) > max(1.0, 0.4 * len(content[:1000])):
+        names = ["utf-16-be" if zeros[0] > zeros[1] else "utf-16-le"]
     for name in names:
         try:
             text = content.decode(name)
@@ -163,32 +162,23 @@ def _decoded(path: Path, content: bytes, encoding: str) -> tuple[str, str]:
     return text, name
 
 
-def _unwrapped(lines: list[str]) -> list[str]:
-    """Lines in which those of a quoted cell with line breaks are joined, and the others empty."""
-    for k in [k for k, line in enumerate(lines) if '"' in line and _OPEN_QUOTE.search(line)]:
-        ends = [j for j, line in enumerate(lines[k + 1 : k + 1 + MAX_WRAPPED], k + 1) if line.count('"') % 2]
-        if ends and lines[k].count('"') % 2:
-            lines[k : ends[0] + 1] = [" ".join(lines[k : ends[0] + 1]), *[""] * (ends[0] - k)]
-    return lines
-
-
 def _las_lines(path: Path, lines: Sequence[str]) -> tuple[list[str], tuple[str, ...]]:
     """Lines of a LAS 2.0 file (a log of a well) with its curves as heads and the other sections empty; its NULL."""
     section, heads, null = "", list[str](), tuple[str, ...]()
     for k, line in enumerate(lines):
+        entry = re.match(r"\s*([^\s#.~][^.]*?)\s*\.(\S*)\s*(.*?)\s*:", line)
+        name, unit, value = entry.groups() if entry else ("", "", "")
+        if line.upper().startswith("~A") and heads:
+            separator = "," if "," in "".join(lines[k + 1 : k + 2]) else " "
+            return [*[""] * k, separator.join(heads), *lines[k + 1 :]], null
         if line.startswith("~"):
             section = line[1:2].upper()
-            if section == "A" and heads:
-                rows = list(lines[k + 1 :])
-                return [*[""] * k, ("," if rows and "," in rows[0] else " ").join(heads), *rows], null
-        elif entry := re.match(r"\s*([^\s#.][^.]*?)\s*\.(\S*)\s*(.*?)\s*:", line):
-            name, unit, value = entry.groups()
-            if section == "C":
-                heads.append(name.replace(" ", "_") + f"[{unit}]" * bool(unit))
-            elif name.upper() == "NULL":
-                null = (value,)
-            elif name.upper() == "WRAP" and value.upper() == "YES":
-                raise FileError(path, f"line {k + 1}: a LAS file with wrapped rows: export it without WRAP, or as CSV")
+        elif entry and section == "C":
+            heads.append(name.replace(" ", "_") + f"[{unit}]" * bool(unit))
+        elif name.upper() == "NULL":
+            null = (value,)
+        elif (name + value).upper() == "WRAPYES":
+            raise FileError(path, f"line {k + 1}: a LAS file with wrapped rows: export it without WRAP, or as CSV")
     raise FileError(path, "a LAS file without the sections ~Curve and ~ASCII: export it again, or as CSV")
 
 
@@ -196,15 +186,16 @@ def _by_library(path: Path, content: bytes, reader: str, sheet: str | None) -> d
     """Sheets of a binary file, read in a process of its own."""
     if reader == "workbook":
         import_module("python_calamine")
-    command = [sys.executable, "-P", "-m", "probe_agents.records.binary", reader, *([] if sheet is None else [sheet])]
+    command = [sys.executable, "-P", "-m", "probe_agents.records.binary", reader, str(MAX_MEMORY)]
+    threads = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}  # each has its own memory
     try:
         done = subprocess.run(
-            command,
+            command if sheet is None else [*command, sheet],
             input=content,
             capture_output=True,
             timeout=MAX_SECONDS,
             check=False,
-            env=os.environ | {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
+            env=os.environ | threads,
         )
         answer = json.loads(done.stdout)
     except (subprocess.TimeoutExpired, ValueError) as error:
