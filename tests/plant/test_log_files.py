@@ -162,8 +162,9 @@ FOREIGN = {
     "a LAS file": "~Version\n VERS. 2.0 : LAS\n WRAP. NO :\n~Curve\n TIME.S : time\n LENGTH.M : length\n"
     " FEED.M/MIN : feed\n AIR.M3/H :\n~A  TIME LENGTH FEED AIR\n" + lines("  ", head="", row="{t};{x};12.0;{a}")[1:],
     "other columns": lines(head=HEAD + ";p [bar];note", row=SHORT + ";1.013;ok"),
-    "a table of pandas with missing numbers": pd.read_csv(io.StringIO(lines(head=HEAD + ";p", row=SHORT + ";")), sep=";")
-    .convert_dtypes().to_parquet(),
+    "a table of pandas with missing numbers": pd.read_csv(
+        io.StringIO(lines(head=HEAD + ";p", row=SHORT + ";")), sep=";"
+    ).convert_dtypes().to_parquet(),
     "a sheet": sheet(
         ["rig 3"], ["Zeit", "Weg", "Vorschub", "Luft"], ["s", "mm", "mm/s", "m³/h"],
         *([t, 1e3 * x, 200, 63.0] for t, x in ROWS),
@@ -257,10 +258,14 @@ BROKEN = [
     ),
     (with_days("0{}.06.2024", lambda t, _: f"{9 - t // 2}:00:0{t}"), PAUSE.format(82801)),
     (with_days("0{}.06.2024", lambda t, _: f"12:00:0{t}"), PAUSE.format(86401)),
-    (with_days("day {}", "%H:%M:%S"), "line 2, column 'Datum': 'day 1' is not a date like 2024-05-31, 31.05.2024 or"),
+    (with_days("day {}", "%H:%M:%S"), "line 2, column 'Zeit': 'day 1' beside it is not a date like 2024-05-31"),
     (
         clocks("12:59:58", "12:59:59", "1:00:00", "1:00:01"),
         "line 4, column 'time [s]': the time '1:00:00' is 43199 s before the row above: a 12-hour clock without AM",
+    ),
+    (
+        lines(row=CLOCK, c=lambda t, _: f"T#{t}s" if t != 2 else "2"),
+        "line 4, column 'time [s]': '2' is not a time",
     ),
     (lines(row=CLOCK, c=lambda t, _: f"9h0m{t}s"), "'9h0m0s' is not a time like 2024-05-31T14:05:09.25, 31.05.2024"),
     (
@@ -458,6 +463,22 @@ def test_the_form_of_times_is_declared(tmp_path):
         read(path, time_format="%H:%M")
     with pytest.raises(ValueError, match="time_format = '%Q' is not a form of time: 'Q' is a bad directive"):
         read(path, time_format="%Q")
+
+
+def test_summer_time_by_a_form_and_beside_dates(tmp_path):
+    """A log from Saturday, 23:00, to Sunday, 4:00, with a row each 50 s, over the end and the begin of summer time."""
+    path = tmp_path / "rig.csv"
+    for begin, fold in ((datetime(2025, 10, 25, 23), 1), (datetime(2025, 3, 29, 23), -1)):
+        moments = [begin + timedelta(seconds=50 * k) for k in range(400)]
+        clocks = [m - timedelta(hours=fold) * (m >= begin + timedelta(hours=4 if fold == 1 else 3)) for m in moments]
+        for head, form, time_format in (
+            ("Zeit", "%d.%m.%Y %H:%M:%S", "%d.%m.%Y %H:%M:%S"), ("Datum;Zeit", "%d.%m.%Y;%H:%M:%S", ""),
+        ):  # fmt: skip
+            rows = (f"{clock.strftime(form)};{5 + 0.01 * k:.2f};63" for k, clock in enumerate(clocks))
+            path.write_text("\n".join([f"{head};length [m];air [m3/h]", *rows]))
+            log = read(path, bounds=Bounds(gap=60.0, every=60.0), time_format=time_format)
+            assert log.time[-1] == 50.0 * 399
+            assert "summer time" in log.notes[0]
 
 
 def test_unneeded_feed_column_is_left_out(tmp_path):

@@ -45,7 +45,6 @@ from probe_agents.records.times import (
     CellError,
     are_serial_days,
     check,
-    days_of,
     matches,
     seconds,
 )
@@ -295,8 +294,7 @@ class _Conversion:
                     values[name] = self._times(cells[name], form)
                 continue
             except CellError as error:
-                column = self.indices[name] if error.column is None else error.column
-                refusal = table.error(error.row, error.problem, column)
+                refusal = table.error(error.row, error.problem, self.indices[name])
             except FileError as error:
                 refusal = error
             if name != "feed_speed" or "inserted_length" not in self.indices or name in self.named or not self.is_log:
@@ -414,11 +412,7 @@ class _Conversion:
     def _times(self, cells: Any, form: str) -> FloatArray:
         """Seconds (rows,) of timestamps or clock times."""
         date = self.indices.get(DATE)
-        try:
-            days = None if date is None else days_of(self.table.columns[date], cells, form)
-        except CellError as error:
-            raise CellError(error.row, error.problem, date) from None
-        read, notes = seconds(cells, form, days)
+        read, notes = seconds(cells, form, None if date is None else self.table.columns[date])
         self.notes += [f"The column {self.table.heads[self.indices['time']]!r} {note}." for note in notes]
         return read
 
