@@ -2,12 +2,13 @@
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final, NamedTuple
 
 import numpy as np
+import pandas as pd
 
 from probe_agents.evaluation.repeat import Segments, intervals_to_repeat, repeat_schedule, verdict_of, verdict_text
 from probe_agents.plant.cleaning import (
@@ -83,11 +84,9 @@ class Log:
     def dwells(self) -> tuple[Dwell, ...]:
         """Standstills of at least one second."""
         edges = np.flatnonzero(np.diff((self.feed_speed[:-1] == 0.0).astype(np.int8), prepend=0, append=0))
-        standstills = (
-            Dwell(float(self.time[a]), float(self.inserted_length[a]), float(self.time[b] - self.time[a]))
-            for a, b in zip(edges[::2], edges[1::2], strict=True)
-        )
-        return tuple(dwell for dwell in standstills if dwell.duration >= DWELL)
+        begin, end = edges[::2], edges[1::2]
+        rows = np.column_stack([self.time[begin], self.inserted_length[begin], self.time[end] - self.time[begin]])
+        return tuple(Dwell(*row) for row in rows.tolist() if row[2] >= DWELL)
 
     @property
     def channels(self) -> dict[str, FloatArray]:
@@ -100,10 +99,11 @@ class Log:
         """CSV text in the units of the column names, for ``Schedule.read`` and ``read_log``."""
         columns = {"time": self.time, **self.channels, "air_supply": self.air_supply_rate * HOUR}
         digits = {"time": 12, "inserted_length": 10, "feed_speed": 9}
-        lines = [f"{CSV_COMMENT} steps", ",".join(QUANTITIES[name].column for name in columns)]
-        for row in zip(*columns.values(), strict=True):
-            lines.append(",".join(f"{value:.{digits.get(name, 6)}g}" for name, value in zip(columns, row, strict=True)))
-        return "\n".join(lines) + "\n"
+        texts = {
+            QUANTITIES[name].column: [f"{value:.{digits.get(name, 6)}g}" for value in column]
+            for name, column in columns.items()
+        }
+        return f"{CSV_COMMENT} steps\n" + pd.DataFrame(texts).to_csv(index=False, lineterminator="\n")
 
 
 def read_log(path: str | Path, options: ReadOptions = DETECTED, bounds: Bounds = USUAL) -> Log:
@@ -158,41 +158,32 @@ def log_segments(log: Log, config: TaskConfig) -> Segments:
         raise ValueError(f"the log has no metre to judge: the probe stays at {log.inserted_length[0]:g} m")
     begin, end, helix = log.inserted_length[moving], log.inserted_length[moving + 1], config.scene.tube.helix_length
     edges = np.unique([begin[0], *np.arange(math.ceil(begin[0]), end[-1]), end[-1]])
+    if helix - end[-1] >= NEAR_END:
+        edges = np.append(edges, helix)
     first, last = np.searchsorted(end, edges[:-1], side="right"), np.searchsorted(begin, edges[1:])
-    rows = [moving[a:b] for a, b in zip(first, last, strict=True)]  # rows that overlap each metre
+    rows = [moving[a:b] for a, b in zip(first, last, strict=True)]  # rows that overlap each metre, none at the end
 
-    def column(values: FloatArray | None, statistic: Callable[[FloatArray], Any]) -> FloatArray:
-        return np.array([np.nan if values is None else statistic(values[part]) for part in rows])
+    def column(values: FloatArray, statistic: Callable[[FloatArray], Any] = np.mean) -> FloatArray:
+        return np.array([statistic(values[part]) if len(part) else np.nan for part in rows])
 
-    segments = Segments(
+    unknown = np.full(len(log.time), np.nan)
+    gaps = (edges[:-1, None] < log.gaps[:, 1]) & (edges[1:, None] > log.gaps[:, 0])
+    return Segments(
         begin=edges[:-1],
         end=edges[1:],
         feed=column(log.feed_speed, np.max),
-        axial=column(None, np.mean),
-        air=column(log.air_supply_rate, np.mean),
-        vibration=column(log.measured.get(NOISE), lambda values: np.sqrt(np.mean(values**2))),
-        tension=column(log.measured.get("root_tension"), np.mean),
-        missing=np.any((edges[:-1, None] < log.gaps[:, 1]) & (edges[1:, None] > log.gaps[:, 0]), axis=1),
+        axial=column(unknown),
+        air=column(log.air_supply_rate),
+        vibration=column(log.measured.get(NOISE, unknown), lambda values: np.sqrt(np.mean(values**2))),
+        tension=column(log.measured.get("root_tension", unknown)),
+        missing=gaps.any(axis=1) | (edges[1:] > end[-1]),
     )
-    if helix - end[-1] < NEAR_END:
-        return segments
-    unknown = np.array([np.nan])
-    rest = Segments(end[-1:], np.array([helix]), unknown, unknown, unknown, unknown, unknown, np.array([True]))
-    pairs = ((getattr(segments, f.name), getattr(rest, f.name)) for f in fields(Segments))
-    return Segments(*map(np.concatenate, pairs))
 
 
 def write_repeat(log: Log, name: str, case: EvaluationCase, folder: Path) -> list[Path]:
-    """Judge a log by the instrument of a case, and write the metres to repeat and a schedule of them.
+    """Judge a log by the instrument of a case, whose tubes stand for that of the log; the written files.
 
-    Args:
-        log: the log.
-        name: of the log, for the files ``NAME-to-repeat.csv`` and ``repeat-NAME.csv``.
-        case: task and tubes; the tube of the log is any of them.
-        folder: folder of the files.
-
-    Returns:
-        the files; without a metre to repeat there is no schedule.
+    NAME-to-repeat.csv lists the metres to repeat, and repeat-NAME.csv, if there are any, is a schedule of them.
     """
     segments = log_segments(log, case.config)
     intervals = intervals_to_repeat(segments, case.config)
@@ -237,17 +228,17 @@ def print_log(log: Log, path: Path) -> None:
         print_table(title, ("at [m]", "from [s]", "lasting [s]"), rows_of_dwells[:DWELLS_SHOWN], left=0)
     for text in (*log.notes, *(f"The column {fault.text}." for fault in log.faults)):
         print_terms({"note": text})
-    config, stops = TaskConfig(), "alternates stops and starts below it, and lags above it"
-    for name, values, (low, high), unit, scale, effect in (
-        ("feed speed", log.feed_speed, config.feed_speeds, "m/s", 1.0, stops),
-        ("air supply", log.air_supply_rate, config.air_supply_rates, "m3/h", HOUR, "clips it"),
+    config = TaskConfig()
+    for name, limits, effect in (
+        ("feed_speed", config.feed_speeds, "alternates stops and starts below it, and lags above it"),
+        ("air_supply", config.air_supply_rates, "clips it"),
     ):
+        values, unit, scale = log.channels[name], QUANTITIES[name].unit, QUANTITIES[name].scale
+        low, high = (limit / scale for limit in limits)
         below, above = (values < low * (1.0 - 1e-6)).sum(), (values > high * (1.0 + 1e-6)).sum()
         if below or above:
-            text = (
-                f"The {name} is outside the task's range {low * scale:g} to {high * scale:g} {unit}: {below} rows are"
-            )
-            print_terms({"note": f"{text} below and {above} above it. A replay {effect}."})
+            text = f"The {name.replace('_', ' ')} is outside the task's range {low:g} to {high:g} {unit}"
+            print_terms({"note": f"{text}: {below} rows are below and {above} above it. A replay {effect}."})
 
 
 def check_picture(path: Path) -> None:
