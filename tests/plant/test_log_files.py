@@ -377,6 +377,8 @@ def test_markers_of_missing_values_are_interpolated_and_counted(tmp_path):
         log = read(rig(path, [*TENSIONS[:3], marker.replace(",", "."), *TENSIONS[4:]]), missing=(marker,))
         assert log.measured["root_tension"] == RAMP
         assert log.time[0] == 0.0  # numbers of time are no markers
+    path.write_text(lines(head=MS_HEAD, row="{c};0;{x};{v};{a}", c="%H:%M:%S"))
+    assert read(path, missing=("0",)).time == pytest.approx([0, 1, 2, 3])
     las = "~V\nVERS. 2.0:\n~W\nNULL. -1 :\n~C\nTIME.S:\nLENGTH.M:\nAIR.M3/H:\nTENSION.N:\n~A\n"
     path.write_text(las + "\n".join(f"{k} {5 + 0.2 * k:.1f} 63 {-1 if k == 3 else 2 + 0.1 * k}" for k in range(8)))
     assert read(path).measured["root_tension"] == RAMP

@@ -111,11 +111,9 @@ def read_channels(path: Path, options: ReadOptions) -> Channels:
     """
     table = read_table(path, options)
     log = _Conversion(table, options)
-    if options.rate is not None and "time" in log.indices:
-        head = table.heads[log.indices["time"]]
-        raise FileError(
-            path, f"the column {head!r} is the time: leave --rate out, or {table.option(log.indices['time'], IGNORED)}"
-        )
+    if options.rate is not None and (k := log.indices.get("time")) is not None:
+        problem = f"the column {table.heads[k]!r} is the time: leave --rate out, or {table.option(k, IGNORED)}"
+        raise FileError(path, problem)
     log.require(*[("time",)][: options.rate is None], ("feed_speed", "inserted_length"))
     if options.air_supply is None:
         log.require(("air_supply",))
@@ -361,7 +359,7 @@ class _Conversion:
         factor, read = self._factor(name, unit), _numbers(cells, sign, name == "time")
         if self.is_log:
             suspect = name in SUSPECT and not self.options.missing
-            markers = _blank_markers(read, () if name == "time" else self.markers, suspect)
+            markers = _blank_markers(read, () if name in ("time", FRACTION) else self.markers, suspect)
             if markers:
                 self.notes.append(f"The column {table.heads[k]!r} has missing values, marked by {', '.join(markers)}.")
             self._blank_bad(read, k)
