@@ -153,6 +153,7 @@ FOREIGN = {
     ),
     "rows of separators": lines().replace("\n1", "\n;;;\n1") + "\n;;;\n",
     "units behind a space": lines(",", head="Time s;Inserted Length mm;Feed Speed mm/s;Air Flow m³/h", row=LONG),
+    "units with slashes behind underscores": lines(head="time_s;length_mm;feed_mm/s;air_m³/h", row=LONG),
     "units behind a slash": lines(head="Zeit / s;Weg / mm;Vorschub / (m/s);Luft / m3/h", row="{t};{mm};{v};{a}"),
     "a form of time below": lines(head="Time;Length;Feed;Air\nhh:mm:ss;m;m/s;m³/h", row=CLOCK, c="%H:%M:%S"),
     "objects below": lines(head="time;length;feed;air\ns;m;m/s;m3/h\n;probe-a;probe-a;probe-a"),

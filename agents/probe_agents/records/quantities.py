@@ -18,7 +18,6 @@ class Quantity(NamedTuple):
     si: str  # SI unit for pint
     low: float  # accepted [SI]
     high: float
-    heads: str  # accepted headings, in addition to its name: lower case, without unit
     scale: float = 1.0  # value of ``unit`` [SI]
     noise: float = 0.0  # accepted noise below ``low`` [SI]; the value is clipped to ``low``
     rms: bool = False  # whether it is averaged as a root mean square
@@ -30,68 +29,62 @@ class Quantity(NamedTuple):
 
 
 _LENGTH, _FEED, _AIR = POSITIONS["inserted_length_m"][1], RANGES[FEED][1], RANGES[AIR][1] / HOUR
-_TIME_HEADS: Final = (
-    "t, timestamp, time stamp, t stamp, datetime, date time, date&time, elapsed time, zeit, zeitstempel, uhrzeit,"
-    " zeitpunkt, datum uhrzeit, messzeit, x value, time time"
-)
-_LENGTH_HEADS: Final = (
-    "insertion length, length, position, encoder, encoder position, länge, laenge, weg, weggeber, drehgeber,"
-    " eingeschobene länge, einschublänge, einschublaenge, einfahrlänge"
-)
-_FEED_HEADS: Final = (
-    "feed, feed rate, speed, velocity, vorschub, vorschubgeschwindigkeit, geschwindigkeit, einschubgeschwindigkeit"
-)
-_AIR_HEADS: Final = (
-    "air supply rate, air, air flow, airflow, flow, flow rate, luft, luftmenge, luftstrom, luftzufuhr, volumenstrom,"
-    " luftvolumenstrom"
-)
-_TENSION_HEADS: Final = "tension, cable tension, force, load cell, kraft, zugkraft, kabelzug, kabelzugkraft"
-_RADIAL_HEADS: Final = "radial acceleration, acceleration radial, radialbeschleunigung, beschleunigung radial"
-_NOISE_HEADS: Final = "rf noise, noise, eddy current noise, rauschen, hf rauschen, signalrauschen, wirbelstromrauschen"
 _ALL = (
-    Quantity("time", "s", "s", -inf, inf, _TIME_HEADS),
-    Quantity("inserted_length", "m", "m", 0.0, _LENGTH, _LENGTH_HEADS, noise=0.02),
-    Quantity("feed_speed", "m/s", "m/s", -_FEED, _FEED, _FEED_HEADS),
-    Quantity("air_supply", "m3/h", "m**3/s", 0.0, _AIR, _AIR_HEADS, scale=1.0 / HOUR, noise=1.0 / HOUR),
-    Quantity("root_tension", "N", "N", -1e5, 1e5, _TENSION_HEADS),
-    Quantity("radial_acceleration_rms", "m/s2", "m/s**2", 0.0, 1e6, _RADIAL_HEADS, rms=True),
-    Quantity("axial_acceleration_rms", "m/s2", "m/s**2", 0.0, 1e6, _RADIAL_HEADS.replace("radial", "axial"), rms=True),
-    Quantity("rf_noise_rms", "m", "m", 0.0, 1.0, _NOISE_HEADS, rms=True),
-    Quantity("return_feed_speed", "m/s", "m/s", 0.0, _FEED, "return feed, return speed"),
-    Quantity("return_air_supply", "m3/h", "m**3/s", 0.0, _AIR, "return air, return air flow", scale=1.0 / HOUR),
+    Quantity("time", "s", "s", -inf, inf),
+    Quantity("inserted_length", "m", "m", 0.0, _LENGTH, noise=0.02),
+    Quantity("feed_speed", "m/s", "m/s", -_FEED, _FEED),
+    Quantity("air_supply", "m3/h", "m**3/s", 0.0, _AIR, scale=1.0 / HOUR, noise=1.0 / HOUR),
+    Quantity("root_tension", "N", "N", -1e5, 1e5),
+    Quantity("radial_acceleration_rms", "m/s2", "m/s**2", 0.0, 1e6, rms=True),
+    Quantity("axial_acceleration_rms", "m/s2", "m/s**2", 0.0, 1e6, rms=True),
+    Quantity("rf_noise_rms", "m", "m", 0.0, 1.0, rms=True),
+    Quantity("return_feed_speed", "m/s", "m/s", 0.0, _FEED),
+    Quantity("return_air_supply", "m3/h", "m**3/s", 0.0, _AIR, scale=1.0 / HOUR),
 )
 QUANTITIES: Final[Mapping[str, Quantity]] = {quantity.name: quantity for quantity in _ALL}
 MEASURED: Final = tuple(QUANTITIES)[4:-2]
 """Quantities that a log may lack."""
 RETURN: Final = tuple(QUANTITIES)[-2:]
 """Quantities of withdrawal in a schedule."""
-DATE: Final = "date"
-"""Date of a clock time in another column."""
-FRACTION: Final = "fraction"
-"""Fraction of a second of a time in another column."""
+DATE, FRACTION, IGNORED = "date", "fraction", "none"
+"""Date, and fraction of a second, of a clock time in another column; a column that is left out."""
 FRACTION_UNITS: Final = dict.fromkeys(("ms", "msec", "millisecond", "milliseconds", "millisekunden"), "ms") | {
     "fraction": "s", "time fraction": "s", "fractional seconds": "s"
 }  # fmt: skip
 """Heading -> unit."""
-IGNORED: Final = "none"
-"""Columns that are left out."""
 NAMES: Final = (*(name for name in QUANTITIES if name not in RETURN), DATE, FRACTION, IGNORED)
 """Names accepted by ``--columns``."""
-_HEADS: Final = {DATE: "day, datum, tag, messdatum", FRACTION: ", ".join(FRACTION_UNITS)} | {
-    name: q.heads for name, q in QUANTITIES.items()
+_HEADS: Final = {
+    "time": "t, timestamp, time stamp, t stamp, datetime, date time, date&time, elapsed time, zeit, zeitstempel,"
+    " uhrzeit, zeitpunkt, datum uhrzeit, messzeit, x value, time time",
+    "inserted_length": "insertion length, length, position, encoder, encoder position, länge, laenge, weg, weggeber,"
+    " drehgeber, eingeschobene länge, einschublänge, einschublaenge, einfahrlänge",
+    "feed_speed": "feed, feed rate, speed, velocity, vorschub, vorschubgeschwindigkeit, geschwindigkeit,"
+    " einschubgeschwindigkeit",
+    "air_supply": "air supply rate, air, air flow, airflow, flow, flow rate, luft, luftmenge, luftstrom, luftzufuhr,"
+    " volumenstrom, luftvolumenstrom",
+    "root_tension": "tension, cable tension, force, load cell, kraft, zugkraft, kabelzug, kabelzugkraft",
+    "radial_acceleration_rms": "radial acceleration, acceleration radial, radialbeschleunigung, beschleunigung radial",
+    "axial_acceleration_rms": "axial acceleration, acceleration axial, axialbeschleunigung, beschleunigung axial",
+    "rf_noise_rms": "rf noise, noise, eddy current noise, rauschen, hf rauschen, signalrauschen, wirbelstromrauschen",
+    "return_feed_speed": "return feed, return speed",
+    "return_air_supply": "return air, return air flow",
+    DATE: "day, datum, tag, messdatum",
+    FRACTION: ", ".join(FRACTION_UNITS),
 }
+"""Accepted headings in addition to the name: lower case, without unit."""
 _BY_HEAD: Final = {
     head: name for name, heads in _HEADS.items() for head in (name.replace("_", " "), *heads.split(", "))
 }
-
 _NUMBERED: Final = re.compile(r"((?:time|zeit)) \d+(?: (?:standardmessrate|default sample rate))?")
 """One of several columns of time, also of catman."""
 _UNIT: Final = re.compile(r"\s*(?:\[([^\[\]]*)\]|\(([^()]*)\)|\bin\s+([^\s\[\]()]+))\s*$")
 """At the end of a head: [mm/s], (m3/h), in mm/s."""
 _TOKEN: Final = "(?:ns|us|ms|sec|min|mm|cm|um|µm|n?m3|ft|in|kn|lbf|s?cfm|s?lpm|fpm|[smhnlg])"
-_SUFFIX: Final = re.compile(rf"(.+?)_({_TOKEN}(?:_per_{_TOKEN}2?)?)$")
-_BEHIND: Final = re.compile(rf"(.+?),?(?:\s+|\s*/\s*)({_TOKEN}(?:/{_TOKEN}[2²]?)?|n?m³(?:/{_TOKEN})?)", re.IGNORECASE)
-"""A unit behind a space or slash: "Feed Speed m/s", "Weg / mm", "Tension, N"."""
+_BEHIND: Final = re.compile(
+    rf"(.+?)(_|,?\s+|\s*/\s*)({_TOKEN}(?:(?:/|_per_){_TOKEN}[2²]?)?|n?m³(?:/{_TOKEN})?)", re.IGNORECASE
+)
+"""A unit behind an underscore, space or slash: feed_mm_per_s, "Feed Speed m/s", "Weg / mm", "Tension, N"."""
 _NUMBER: Final = r"\d+(?:\.\d+)?(?:[eE][+-]?\d+)?"
 _SCALED: Final = re.compile(rf"([+-]?)\s*(?:({_NUMBER})\s*\*\s*)?(.*?)(?:\s*([*/])\s*({_NUMBER}))?")
 """A unit with a sign and a factor: -m, m/4096, 1.07*m3/h."""
@@ -127,12 +120,11 @@ def split_head(head: str) -> tuple[str, str]:
     match = _UNIT.search(head)
     if match and match.start():
         return head[: match.start()].strip(), next(group for group in match.groups() if group is not None).strip()
-    if suffix := _SUFFIX.fullmatch(head.strip().lower()):
-        unit = suffix[2].replace("_per_", "/")
-        return head.strip()[: suffix.end(1)], _CAPITALS.get(unit, unit)
-    if (behind := _BEHIND.fullmatch(head.strip())) and normalized(behind[1]) in _BY_HEAD:
-        return behind[1].strip(), behind[2]
-    return head.strip(), ""
+    behind = _BEHIND.fullmatch(head.strip())
+    if not behind or (behind[2] != "_" and normalized(behind[1]) not in _BY_HEAD):
+        return head.strip(), ""
+    unit = behind[3].lower().replace("_per_", "/")
+    return behind[1], _CAPITALS.get(unit, unit) if behind[2] == "_" else behind[3]
 
 
 def normalized(words: str) -> str:
@@ -143,9 +135,9 @@ def normalized(words: str) -> str:
 def quantity_of(head: str) -> str | None:
     """Quantity (or ``DATE``) of a heading; None if it is unknown."""
     words = _NUMBERED.sub(r"\1", normalized(split_head(head)[0]))
-    if mean := _BY_HEAD.get(re.sub(r" (?:avg|mean|smp)$", "", words)):
-        return mean if mean not in QUANTITIES or not QUANTITIES[mean].rms or words in _BY_HEAD else None
-    return _BY_HEAD.get(re.sub(r" (?:rms|eff|effektiv)$", "", words))
+    name = _BY_HEAD.get(words) or _BY_HEAD.get(re.sub(r" (?:avg|mean|smp|rms|eff|effektiv)$", "", words))
+    is_rms = name is not None and name in QUANTITIES and QUANTITIES[name].rms
+    return None if is_rms and re.search(r" (?:avg|mean|smp)$", words) else name
 
 
 class ColumnOption(NamedTuple):
@@ -202,27 +194,26 @@ def si_factor(unit: str, quantity: Quantity) -> float:
     text = _WORDS.get(text.lower(), text)
     if quantity.si in _OF_DIMENSION:
         text = re.sub(*_OF_DIMENSION[quantity.si], text)
-    scale = (
-        f"convert the column to {quantity.unit} in the file, give a factor, --columns"
-        f" 'HEAD={quantity.name}[{quantity.unit}/1000]', or leave it out, --columns 'HEAD={IGNORED}'"
-    )
-    spell = f"write it like {quantity.unit}, --columns 'HEAD={quantity.name}[UNIT]'; if it is no such unit, {scale}"
+    unit_option, none = f"--columns 'HEAD={quantity.name}", f"--columns 'HEAD={IGNORED}'"
+    scale = f"convert the column to {quantity.unit} in the file, give a factor, {unit_option}[{quantity.unit}/1000]'"
+    scale += f", or leave it out, {none}"
+    spell = f"write it like {quantity.unit}, {unit_option}[UNIT]'; if it is no such unit, {scale}"
+    of_other = ValueError(f"{unit!r} is not a unit of {quantity.name} - {scale}")
     if re.match(r"[%‰°]|1/", text):
-        raise ValueError(f"{unit!r} is not a unit of {quantity.name} - {scale}")
+        raise of_other
     if len(text) > MAX_UNIT_LENGTH or not _SHAPE.fullmatch(text):
         raise UnknownUnitError(f"{unit[:MAX_UNIT_LENGTH]!r} is not a unit - {spell}")
     import pint
 
-    problems: list[Exception] = []
-    any_case = text.isupper() or text.istitle()
-    for spelling in dict.fromkeys((text, text.lower() if any_case else text)):
+    problem: ValueError = UnknownUnitError(f"the unit {unit!r} is unknown - {spell}")
+    for spelling in (text, text.lower()) if text.isupper() or text.istitle() else (text,):
         try:
             return float(pint.Quantity(1.0, pint.Unit(spelling)).to(quantity.si).magnitude)
-        except (pint.PintError, ValueError, TypeError, ArithmeticError, AttributeError) as error:
-            problems.append(error)
-    if any(isinstance(problem, pint.DimensionalityError) for problem in problems):
-        raise ValueError(f"{unit!r} is not a unit of {quantity.name} - {scale}")
-    raise UnknownUnitError(f"the unit {unit!r} is unknown - {spell}") from problems[0]
+        except pint.DimensionalityError:
+            problem = of_other
+        except (pint.PintError, ValueError, TypeError, ArithmeticError, AttributeError):
+            continue
+    raise problem
 
 
 def gas_amount(unit: str) -> tuple[float, float] | None:
@@ -234,6 +225,5 @@ def gas_amount(unit: str) -> tuple[float, float] | None:
 def looks_like_unit(cell: str) -> bool:
     """Whether a cell below a heading may be its unit."""
     text = cell.strip("[]() ").translate(_SUPERSCRIPTS)
-    if _CLOCK_FORM.fullmatch(text):
-        return True
-    return not text.isdigit() and re.fullmatch(rf"[A-Za-zµ°%/*^ \d-]{{0,{MAX_UNIT_LENGTH}}}\.?", text) is not None
+    is_word = not text.isdigit() and re.fullmatch(rf"[A-Za-zµ°%/*^ \d-]{{0,{MAX_UNIT_LENGTH}}}\.?", text)
+    return bool(is_word or _CLOCK_FORM.fullmatch(text))

@@ -81,7 +81,7 @@ _WITH_UNIT: Final = re.compile(
 )
 """A number and its unit in one cell."""
 _SPACES: Final = "[ '’\u00a0\u2009\u202f]"
-_QUANTITIES: Final = dict(QUANTITIES) | {FRACTION: Quantity(FRACTION, "s", "s", 0.0, math.nextafter(1.0, 0.0), "")}
+_QUANTITIES: Final = dict(QUANTITIES) | {FRACTION: Quantity(FRACTION, "s", "s", 0.0, math.nextafter(1.0, 0.0))}
 _EMPTY: Final = pa.scalar("", pa.large_string())
 _FROM, _TO = ("from", "from length", "begin", "start", "von"), ("to", "to length", "end", "bis")
 """Headings of the ends of a section of a schedule."""
