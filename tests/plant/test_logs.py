@@ -89,6 +89,26 @@ def test_standstills_are_exact_and_creep_is_none(tmp_path):
     assert log.inserted_length[-1] == pytest.approx(5.0599, abs=TOLERANCE)
 
 
+def test_feed_of_a_coarse_encoder(tmp_path):
+    """Steps of 0.1 m every half second: differences of rows are 0 and 1 m/s, at 0.2 m/s with a stop of 20 s."""
+    time = np.arange(600) / 10
+    speed = np.where((time >= 20.0) & (time < 40.0), 0.0, 0.2)
+    length = 5.0 + np.append(0.0, np.cumsum(speed[:-1] * 0.1))
+    encoder = np.floor(length * 10.0 + 1e-6) / 10.0
+    for column in ({}, {"feed_speed_m_per_s": speed}):
+        log = read_log(written(tmp_path / "rig.csv", time, encoder, **column))
+        (dwell,) = log.dwells
+        # within a step at both ends, and a row of the clean file, 1 s
+        assert dwell.duration == pytest.approx(20.0, abs=2.0)
+        assert dwell.inserted_length == pytest.approx(9.0, abs=0.1)
+        assert log.inserted_length == pytest.approx(np.interp(log.time, time, length), abs=0.1 + TOLERANCE)
+        away = np.abs(log.time - 20.0) > 2.5, np.abs(log.time - 40.0) > 2.5
+        feed = log.feed_speed[away[0] & away[1]]
+        # a step more or less in ten: 10 %; with the speed column its own
+        assert np.abs(feed[feed > 0.0] - 0.2).max() <= (0.021 if not column else 1e-3)
+        assert "steps of 0.1 m are coarse for rows 0.1 s apart" in log.notes[0]
+
+
 def test_units_convert():
     hourly, litre, foot = 1 / 3600.0, 1e-3 / 60.0, 0.3048**3 / 60.0
     expected = {
