@@ -268,6 +268,7 @@ BROKEN = [
         lines(row=CLOCK, c=lambda t, _: f"T#{t}s" if t != 2 else "2"),
         "line 4, column 'time [s]': '2' is not a time",
     ),
+    (lines(row=CLOCK, c=lambda t, _: f"T#{t + 3630 * (t > 1)}s"), "lines 3 to 4: no rows for 3631 s, more than the 5"),
     (lines(row=CLOCK, c=lambda t, _: f"9h0m{t}s"), "'9h0m0s' is not a time like 2024-05-31T14:05:09.25, 31.05.2024"),
     (
         lines(head=MS_HEAD, row="{c};{mm};{x};{v};{a}", c="%H:%M:%S"),

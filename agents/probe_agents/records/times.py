@@ -133,14 +133,17 @@ def _continue_summer_time(clock: FloatArray) -> list[str]:
 
 
 def _detected(cells: Any) -> tuple[FloatArray, float]:
-    """Seconds (rows,) of texts, none of which is missing, and the period after which they begin again [s]."""
+    """Seconds (rows,) of texts, none of which is missing, and the period after which they begin again [s].
+
+    The period is infinite for dates, and 0 for durations.
+    """
     texts = cells
     for pattern, text in _REPLACED:
         texts = pc.replace_substring_regex(texts, pattern, text)
     if matches(cells[:1], _DURATION).any():
         elapsed = pd.to_timedelta(pc.replace_substring(texts, "_", "").to_pandas(), errors="coerce")
         check(cells, matches(cells, _DURATION) & elapsed.notna().to_numpy(), _LIKE)
-        return np.array(elapsed.dt.total_seconds()), np.inf
+        return np.array(elapsed.dt.total_seconds()), 0.0
     parts = pc.extract_regex(texts, _TIME)
     check(cells, np.asarray(parts.is_valid()), _LIKE)
     part = {field.name: parts.field(k).to_pandas() for k, field in enumerate(parts.type)}
