@@ -50,7 +50,8 @@ _SPACED_TIME: Final = (
     r"(\d{1,4}[-/.]\w{1,3}[-/.]\d{1,4})[ \t]+(\d{1,2}:\d\d)", r"\1T\2"
 ), (r"(?i)(:\d\d(?:[.,]\d+)?)[ \t]+([ap]\.?m)\b", r"\1\2")  # fmt: skip
 """Date and clock, and clock and AM, which belong together in a file of spaces."""
-NUMBER_OR_TIME: Final = re.compile(r"[+-]?[\d.,'  ]*\d[\d.,'  ]*(?:[eE][+-]?\d+)?|\d[\d:.,TZ +-]*:[\d:.,TZ +-]*")
+NUMBER_OR_TIME: Final = re.compile(r"[+-]?[.,'  ]*\d[\d.,'  ]*(?:[eE][+-]?\d+)?|\d[\d.,TZ +-]*:[\d:.,TZ +-]*")
+"""The parts do not overlap, so that the time is linear in the length of a text."""
 _SERIES: Final = ("field", "series", "variable", "channel", "kanal", "tag", "tagname", "signal", "measurement", "name")
 _VALUE: Final = ("value", "wert")
 """Heads of a file in long form: a row for each value."""
@@ -236,7 +237,8 @@ def _header(path: Path, source: Source, options: Sequence[ColumnOption]) -> _Hea
     is_text, headers = source.word == "line", list[_Header]()
     filled = [k for k, line in enumerate(source.lines[: 10 * HEAD_WITHIN]) if line.strip()][:HEAD_WITHIN]
     for k, below in zip(filled, [*filled[1:], 0], strict=False):
-        line, next_line = (source.lines[n][: 100 * MAX_COLUMNS] for n in (k, below))
+        # patterns of headings need a time that is quadratic in spaces
+        line, next_line = (re.sub(r"[^\S\t]{3,}", "  ", source.lines[n][: 100 * MAX_COLUMNS]) for n in (k, below))
         for separator in SEPARATORS if is_text else ("\t",):
             if separator == " " and max(map(line.count, ";|,\t")) > 1:
                 continue  # a file of commas is not one of spaces

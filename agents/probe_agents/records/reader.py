@@ -77,7 +77,7 @@ MESSAGES: Final = 0.05
 """Share of the rows which may be messages of the logger."""
 _DIGITS: Final = r"^[+-]?\d+(?:[.,]\d+)?$"
 _WITH_UNIT: Final = re.compile(
-    r"[+-]?\d[\d.,' ]*(?:[eE][+-]?\d+)?\s*([A-Za-zµμ%°][A-Za-zµμ]*[23²³]?(?:/[A-Za-z]+[23²³]?)?)"
+    r"[+-]?\d(?:[\d.,' ]*[\d.,'])?(?:[eE][+-]?\d+)?\s*([A-Za-zµμ%°][A-Za-zµμ]*[23²³]?(?:/[A-Za-z]+[23²³]?)?)"
 )
 """A number and its unit in one cell."""
 _SPACES: Final = "[ '’\u00a0\u2009\u202f]"
