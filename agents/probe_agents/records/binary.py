@@ -9,20 +9,21 @@ import re
 import sys
 from collections.abc import Iterable
 from contextlib import suppress
-from datetime import date, timedelta
+from datetime import date, datetime, timedelta
 from typing import Any
-
-import pandas as pd
 
 
 def _answer(reader: str, sheets: list[str]) -> dict[str, list[str]] | str:
     """Sheets of the file at standard input, or the problem with it."""
     content = io.BytesIO(sys.stdin.buffer.read())
     if reader != "workbook":
+        import pandas as pd  # takes longer than a workbook
+
         lines = not content.getvalue().lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"[")
         arguments = {"convert_dates": False, "lines": lines} if reader == "read_json" else {}
         frame = getattr(pd, reader)(content, **arguments)
         frame = frame if isinstance(frame.index, pd.RangeIndex) else frame.reset_index()
+        frame = frame.astype(object).where(frame.notna(), None)
         return {"": _lines([list(frame.columns), *frame.itertuples(index=False)])}
     from python_calamine import CalamineWorkbook, SheetTypeEnum
 
@@ -38,12 +39,12 @@ def _lines(rows: Iterable[Iterable[Any]]) -> list[str]:
 
 
 def _text(value: Any) -> str:
-    if pd.isna(value):
+    if value is None:
         return ""
     if isinstance(value, timedelta):
-        value = pd.Timedelta(value)  # its text has the days
-    elif isinstance(value, date):
-        value = pd.Timestamp(value)  # a library may give midnight as a date
+        value = f"{value.days} days {(datetime.min + value % timedelta(days=1)).time()}"
+    elif isinstance(value, date) and not isinstance(value, datetime):
+        value = f"{value} 00:00:00"  # a library may give midnight as a date
     return re.sub(r"[\x00-\x1f\x7f-\x9f]", " ", str(value)).replace("\u2212", "-")
 
 
