@@ -547,6 +547,11 @@ def test_sizes_and_pipes(tmp_path, monkeypatch):
     assert log.notes == ("800 NUL bytes behind the last line, as of a power cut, were cut off.",)
     path.write_bytes(with_part(b'ref="A1:C3"', b'ref="A1:XFD1048576"'))
     assert read(path, sheet="Messung").repairs.rows == 2
+    named = tmp_path / "rig.xlsx#Messung"  # as the app and evaluate accept it
+    assert read(named).repairs.rows == 2
+    assert read_schedule(named).feed_speed == (0.2, 0.2)
+    with pytest.raises(FileError, match="no sheet 'Messwerte'; there are 'Notizen', 'Messung'"):
+        read_schedule(tmp_path / "rig.xlsx#Messwerte")
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(FileError, match="a pipe or a device"):
         read(tmp_path / "pipe")
