@@ -202,7 +202,8 @@ def test_a_plain_install_is_the_simulator_and_the_environments(run, tmp_path):
     code = "import gymnasium, probe_env, sys; gymnasium.make('probe_env/Insertion-v1').reset(seed=0)"
     assert run("python", "-c", f"{code}; print('reset')", PYTHONPATH=hidden)[0] == "reset\n"
     loaded = set(run("python", "-c", f"{code}; print(*sys.modules)")[0].split())
-    assert not loaded & {"probe_agents", "matplotlib", "pandas", *COMMANDS, *BEYOND}
+    others = {"charset_normalizer"}  # NumPy loads it where it is installed
+    assert not loaded & {"probe_agents", "matplotlib", "pandas", *COMMANDS, *BEYOND} - others
     for arguments, extra in (
         (["simulate", "fig11_l10"], "commands"),
         (["agents"], "commands"),
