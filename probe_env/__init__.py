@@ -27,14 +27,14 @@ from probe_env.physics.simulation.batch import SimulatorBatch
 from probe_env.physics.simulation.run import Run
 from probe_env.physics.simulation.simulator import Simulator
 from probe_env.physics.simulation.window import Window
-from probe_env.scene import Air, Contact, Probe, Scene, Tube
+from probe_env.scene import Air, Contact, Probe, Scene, Terms, Tube
 from probe_env.schedule import Schedule
 from probe_env.settings import Model
 
 __all__ = [
     "Air", "Contact", "Context", "Design", "Fidelity", "FidelityChoice", "Model", "Plant", "Probe", "Run", "Scene",
-    "Schedule", "SimulationError", "Simulator", "SimulatorBatch", "StabilityWarning", "TaskConfig", "Tube", "Window",
-    "__version__", "choose_fidelity", "load_contexts", "resolve_fidelity", "spread_contexts",
+    "Schedule", "SimulationError", "Simulator", "SimulatorBatch", "StabilityWarning", "TaskConfig", "Terms", "Tube",
+    "Window", "__version__", "choose_fidelity", "load_contexts", "resolve_fidelity", "spread_contexts",
 ]  # fmt: skip
 
 try:

@@ -28,8 +28,9 @@ class SimulationError(RuntimeError):
             hint = f"a time step of {stable:.2g} s or less is known to be stable for this scene"
         else:
             hint = (
-                f"the step is within the known limit of {stable:.2g} s: most likely compression buckled the cable"
-                " between floats; a shorter step does not help; contact.cable = true makes the walls support the cable"
+                f"the step is within the known limit of {stable:.2g} s: most likely the cable buckled between floats,"
+                " which never unloads in the model of the study; a shorter step does not help; terms.shortening = true"
+                " lets it unload, contact.cable = true makes the walls support it"
             )
         super().__init__(
             f"{method} with time_step {time_step:g} s diverged at t = {time:.6g} s;"

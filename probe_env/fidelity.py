@@ -175,9 +175,9 @@ def resolve_fidelity(
 
     Args:
         fidelity: name, settings, or a mapping of settings.
-        scene: scene for "auto"; default: table 2. If its cable touches the walls between floats, or its couple counts
-            from the tangent, a mesh of nodes replaces superelements: the method is its ``on_nodes_as`` with
-            ``MESH_NODES`` per pitch, equal time-lapse, and a step of at most ``MESH_STEP``. Logged once.
+        scene: scene for "auto"; default: table 2. If its cable touches the walls between floats, a mesh of nodes
+            replaces superelements: the method is its ``on_nodes_as`` with ``MESH_NODES`` per pitch, equal time-lapse,
+            and a step of at most ``MESH_STEP``. Logged once.
         growing: whether the probe is inserted; time-lapse is not used at constant length.
         round_trip: whether the probe is also withdrawn.
 
@@ -191,8 +191,7 @@ def resolve_fidelity(
     chosen = _preset_or_settings(fidelity, scene, growing)
     if not growing:
         chosen = chosen.model_copy(update={"time_lapse": 1.0, "steady_feed": None})
-    needs_nodes = scene.contact.cable or scene.couple == "tangent"
-    if chosen.method is None or chosen.method.on_nodes or not needs_nodes:
+    if chosen.method is None or chosen.method.on_nodes or not scene.contact.cable:
         return chosen
     step = min(chosen.time_step, MESH_STEP)
     update = {"method": chosen.method.on_nodes_as, "nodes_per_pitch": MESH_NODES, "time_step": step}
@@ -204,7 +203,7 @@ def resolve_fidelity(
 @lru_cache
 def _log_nodes(method: str, replacement: str) -> None:
     LOGGER.warning(
-        "fidelity: %s has no nodes between floats, which contact.cable and couple = 'tangent' need; using %s",
+        "fidelity: %s has no nodes between floats, which contact.cable needs; using %s",
         method, replacement,
     )  # fmt: skip
 

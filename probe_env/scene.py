@@ -94,6 +94,19 @@ class Air(Model):
     """Darcy friction factor of the tube wall, for compressible air [-]; 0: the floats take the whole pressure drop."""
 
 
+class Terms(Model):
+    """Terms of the model that the study leaves out."""
+
+    shortening: bool = False
+    """Shortening of the bent cable between two floats, theta^2 / 2 in its axial strain, without which a span that has
+    buckled never unloads."""
+    stiction: bool = False
+    """Friction that also holds at rest, by a spring that yields at mu N, instead of the sign of the sliding."""
+    entrance: bool = False
+    """Axial force with which the bent cable behind the entrance resists the feed, (EI / r)^2 / (2 EI) at rest; it
+    reduces the root tension."""
+
+
 class Scene(Model):
     """One probe in one tube at one feed speed [m/s], air supply rate [m3/s] and carrier length [m]."""
 
@@ -104,6 +117,7 @@ class Scene(Model):
     couple: Literal["frame", "tangent"] = "frame"
     """Reference of the rotation in the couple V l theta of equation (9): the moving frame, as in the study, or the
     tangent of the tube at the node, which is also correct under compression."""
+    terms: Terms = Terms()
     feed_speed: Annotated[float, quantity(-2.0, 2.0, "m/s")] = 0.2
     """Feed speed of the cable; negative: withdrawal [m/s]."""
     air_supply_rate: Annotated[float, quantity(-0.2, 0.2, "m3/s")] = 63.0 / 3600.0

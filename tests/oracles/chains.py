@@ -36,7 +36,7 @@ def advance(chain, scheme, state, steps, every, points=(0,), feed=0.0, air=0.0, 
 def integrate(chain, scheme, d=None, v=None, a=None, steps=1, every=1, **inputs):
     """Samples (k, p, 4) of x, y, theta, V after every ``every`` steps, and the final state."""
     state = at_rest(chain.node_count)
-    for target, start in zip((state.d, state.v, state.memory), (d, v, a), strict=True):
+    for target, start in zip((state.d, state.v, state.memory[:, :3]), (d, v, a), strict=True):
         if start is not None:
             target[:] = start
     status, samples = advance(chain, scheme, state, steps, every, **inputs)

@@ -37,7 +37,7 @@ def sources(path):
 def test_numba_finds_no_index_out_of_bounds(tmp_path):
     """In a cache of its own: kernels compiled with and without the flag must not mix."""
     environment = os.environ | {"NUMBA_BOUNDSCHECK": "1", "NUMBA_CACHE_DIR": str(tmp_path), "PYTHONPATH": str(ROOT)}
-    for arguments, expected in ((["-c", CANARY], "checked"), ([str(ROOT / "tests" / "every_kernel.py")], "97")):
+    for arguments, expected in ((["-c", CANARY], "checked"), ([str(ROOT / "tests" / "every_kernel.py")], "101")):
         done = subprocess.run([sys.executable, *arguments], env=environment, capture_output=True, text=True)
         assert done.returncode == 0, done.stderr
         assert done.stdout.strip() == expected
@@ -88,8 +88,16 @@ def guarded(kernel, calls):
 def test_the_lanes_stay_within_their_arrays(method, count, monkeypatch):
     """Lanes are loaded by address, which numba does not check: probes of all lengths, growing to the helix's end."""
     step = 5e-6 if method == "explicit" else 2e-4
+    terms = {"shortening": True, "stiction": True} if count > 4 and METHODS[method].simulates_terms else {}
     scenes = [
-        Scene(tube={"helix_length": 0.75 + s}, probe={"guide_length": 0.1 * (k % 3)}, carrier_length=0.3 + s)
+        Scene(
+            tube={"helix_length": 0.75 + s},
+            probe={"guide_length": 0.1 * (k % 3)},
+            carrier_length=0.3 + s,
+            terms=terms,
+            contact={"weight": "shortening" in terms},
+            air={"compressible": "shortening" in terms},
+        )
         for k, s in enumerate(0.1 * np.arange(count))
     ]
     results, kind, calls = [], type(METHODS[method]), []

@@ -11,15 +11,13 @@ from probe_env.envs.episodes import Episodes
 from probe_env.fidelity import PRESETS, resolve_fidelity
 
 CABLE = {"contact": {"cable": True}}
-SCENES = {"cable": CABLE, "tangent": {"couple": "tangent"}}
 SHORT = {"tube": {"helix_length": 8.0}}
 
 
-@pytest.mark.parametrize("needs", SCENES)
 @pytest.mark.parametrize("name", [name for name, fidelity in PRESETS.items() if fidelity.simulates])
-def test_presets_have_nodes_if_the_scene_needs_them(name, needs):
-    scene, preset = Scene.model_validate(SCENES[needs]), PRESETS[name]
-    assert resolve_fidelity(name) == resolve_fidelity(name, Scene()) == preset
+def test_presets_have_nodes_if_the_scene_needs_them(name):
+    scene, preset = Scene.model_validate(CABLE), PRESETS[name]
+    assert resolve_fidelity(name) == resolve_fidelity(name, Scene(couple="tangent")) == preset
     chosen = resolve_fidelity(name, scene)
     if preset.method.on_nodes:
         assert chosen == preset

@@ -84,7 +84,7 @@ def shape_of(runner: RolloutRunner, k: int) -> ProbeShape:
         position=(root - nodes) * chain.element_length,
         axial=simulator.state.d[nodes, 0],
         radial=simulator.state.d[nodes, 1],
-        tension=simulator.state.axial_force[np.minimum(nodes, root - 1)],
+        tension=simulator.state.tension[np.minimum(nodes, root - 1)],
         lever=chain.lever[nodes],
         outer_gap=chain.outer_gap[nodes],
         sensor=int(np.abs(nodes - simulator.sensor).argmin()),

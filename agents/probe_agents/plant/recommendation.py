@@ -35,7 +35,7 @@ from probe_env.envs.task.config import TaskConfig
 from probe_env.envs.task.rules import drive_counts, metre_reward, slack
 from probe_env.envs.task.scales import fraction_between
 from probe_env.envs.vibration_map import expected_cost, feeds
-from probe_env.physics.closed_forms import buckling_load, steady_root_tension
+from probe_env.physics.closed_forms import buckling_load, steady_tensions
 from probe_env.schedule import Schedule
 
 MEASURES: Final = {"displacement": "rf_noise_rms", "acceleration": "radial_acceleration_rms"}
@@ -407,4 +407,4 @@ def root_compression(config: TaskConfig, tube: Context, air: float, feed: float)
         "feed_speed": -feed,
         "air_supply_rate": -air / 3600.0,
     }
-    return -steady_root_tension(scene.model_copy(update=drawn))
+    return -float(steady_tensions(scene.model_copy(update=drawn))[-1])

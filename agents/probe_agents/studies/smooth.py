@@ -66,11 +66,11 @@ class Case:
     def start(self, method: str, time_step: float) -> State:
         """State at t = 0; velocities of ``explicit`` are those half a step earlier."""
         state = at_rest(self.driven.chain.node_count)
-        for target, values in zip((state.d, state.v, state.memory), (self.d, self.v, self.a), strict=True):
+        for target, values in zip((state.d, state.v, state.memory[:, :3]), (self.d, self.v, self.a), strict=True):
             if values is not None:
                 target[:-1] = values
         if method == "explicit":
-            state.v[:] -= 0.5 * time_step * state.memory
+            state.v[:] -= 0.5 * time_step * state.memory[:, :3]
         if not isinstance(methods.METHODS[method], Newmark):
             state.memory[:] = 0.0  # not an acceleration there
         return state

@@ -16,7 +16,7 @@ from probe_env.envs.task.config import TaskConfig
 from probe_env.envs.task.observations import normal_draws
 from probe_env.envs.task.rules import air_used
 from probe_env.envs.vibration_map import CONTEXT, VibrationMap, check_measure, rms_limit
-from probe_env.physics.closed_forms import sliding_tension
+from probe_env.physics.closed_forms import entrance_tension, sliding_tension
 from probe_env.physics.model.drive import drives_after
 from probe_env.physics.simulation.window import Window
 from probe_env.scene import Scene
@@ -197,7 +197,7 @@ class Predicted(Backend):
         inputs = features(vibration, self.feed, length, tubes)
         statistics = {
             "radial_rms_m": 10.0**vibration * 1e-4,
-            "tension_mean_n": steady * tubes[:, 2] * np.exp(tension),
+            "tension_mean_n": steady * tubes[:, 2] * np.exp(tension) - entrance_tension(scene, tubes[:, 3]),
             "radial_acceleration_rms_m_per_s2": 10.0 ** ((inputs * noise.radial).sum(axis=1) + radial),
             "axial_acceleration_rms_m_per_s2": 10.0 ** ((inputs * noise.axial).sum(axis=1) + axial),
         }

@@ -25,8 +25,17 @@ SHAPE: Final = ("guide_length", "guide_float_diameter", "carrier_float_diameter"
 
 
 def steady_root_tension(scene: Scene) -> float:
-    """Closed form of the root tension under steady sliding [N], see ``steady_tensions``."""
-    return float(steady_tensions(scene)[-1])
+    """Closed form of the root tension under steady sliding [N], see ``steady_tensions`` and ``entrance_tension``."""
+    return float(steady_tensions(scene)[-1] - entrance_tension(scene, np.array(scene.tube.helix_diameter)))
+
+
+def entrance_tension(scene: Scene, helix_diameter: FloatArray) -> FloatArray:
+    """Part EI / (2 r^2) of the root tension (n,) [N] that the feed device does not feel, see ``chain.entrance_force``.
+
+    0 without ``terms.entrance``.
+    """
+    rigidity = scene.probe.flexural_rigidity if scene.terms.entrance else 0.0
+    return np.asarray(2.0 * rigidity / helix_diameter**2)
 
 
 def steady_tensions(scene: Scene, weight: float | None = None) -> FloatArray:
@@ -136,13 +145,15 @@ def friction_from_tension(measurements: Mapping[str, FloatArray], scene: Scene) 
     """Friction coefficient (n,) at which steady sliding has the measured root tension, by bisection.
 
     Between tip and root dT/ds = q - mu' T / r, mu' = mu (1 - d_f / d_h), with the drag q per metre of the guide, then
-    of the carrier, in air of uniform pressure. Tension decreases with friction.
+    of the carrier, in air of uniform pressure. Tension decreases with friction. The force of the entrance
+    is added to the measured tension.
 
     Args:
         measurements: ``MEASURED``, (n,) each; also ``SHAPE`` if the probe is not that of the scene.
         scene: bore, air and probe.
     """
-    tension, diameter = measurements["root_tension"], measurements["helix_diameter"]
+    diameter = measurements["helix_diameter"]
+    tension = measurements["root_tension"] + entrance_tension(scene, diameter)
     pulled = _pulled_sections(measurements, scene)
     radius = diameter / 2.0
     low, high = np.zeros_like(tension), np.full_like(tension, 2.0)
@@ -155,7 +166,7 @@ def friction_from_tension(measurements: Mapping[str, FloatArray], scene: Scene) 
 
 
 def sliding_tension(friction: FloatArray, measurements: Mapping[str, FloatArray], scene: Scene) -> FloatArray:
-    """Root tension (..., n) in steady sliding [N], the inverse of ``friction_from_tension``.
+    """Root tension (..., n) in steady sliding [N], the inverse of ``friction_from_tension`` but for the entrance.
 
     Args:
         friction: (..., 1) or (..., n), above 0.

@@ -43,6 +43,8 @@ def check_scene(method: Method, scene: Scene) -> None:
     options: tuple[tuple[str, bool, Callable[[Method], bool]], ...] = (
         ("air.compressible", scene.air.compressible, lambda other: other.simulates_expansion),
         ("contact.weight", scene.contact.weight, lambda other: other.simulates_weight),
+        ("terms.shortening", scene.terms.shortening, lambda other: other.simulates_terms),
+        ("terms.stiction", scene.terms.stiction, lambda other: other.simulates_terms),
     )
     for option, used, able in options:
         if used and not able(method):

@@ -17,9 +17,10 @@ from probe_env.scene import Scene
 
 @kernel
 def explicit_advance(
-    parameters, compressed, factors, state, inputs, tops, bottoms, dt, per_pitch, sampling, roots, failed
-):
-    """Advance all lanes by central differences; arguments as in ``imex_advance``."""
+    parameters, compressed, options, drags, factors, state, memory, inputs, tops, bottoms, dt, per_pitch, sampling,
+    roots, failed,
+):  # fmt: skip
+    """Advance all lanes by central differences; arguments as in ``imex_advance``, without options."""
     zero = splat(parameters, 0.0)
     delta = load(parameters, layout.DAMPING)
     kappa, couple = load(parameters, layout.CURVATURE), load(parameters, layout.COUPLE)
@@ -79,7 +80,7 @@ def explicit_advance(
             ex, ey, et = aex, aey, aet
             x, y, t, vx, vy, vt = nx, ny, nt, nvx, nvy, nvt
         store(parameters, layout.PEAK, peak)
-        if imex.after_step(parameters, state, inputs, step, sampling, roots, failed):
+        if imex.after_step(parameters, state, memory, per_pitch, inputs, step, sampling, roots, failed):
             return step + 1
     return len(tops)
 
@@ -90,6 +91,9 @@ class Explicit(NodeLanes):
     name = "explicit"
     order = 1
     usual_step = 5e-6
+    simulates_expansion = False
+    simulates_weight = False
+    simulates_terms = False
     kernel = staticmethod(explicit_advance)
 
     def stable_step(self, scene: Scene, nodes_per_pitch: int) -> float:

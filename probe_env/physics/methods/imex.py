@@ -31,8 +31,10 @@ from probe_env.physics.methods.lanes import (
     kernel,
     load,
     load3,
+    multiply_add,
     part,
     splat,
+    square_root,
     store,
     store3,
     traced,
@@ -41,6 +43,9 @@ from probe_env.physics.methods.lanes import (
 from probe_env.physics.methods.ticm import LEAVING
 from probe_env.physics.model.drive import AIR, APPEND, INPUTS, SLOPE, SPEED
 from probe_env.physics.model.state import DIVERGED_RADIAL
+
+SLOW = 2e-2
+"""Sliding velocity [m/s] from which on friction is mu N against it at once, see ``held_forces``."""
 
 
 @part
@@ -51,7 +56,14 @@ def sample_due(step, sampling):
 
 
 @part
-def after_step(parameters, state, inputs, step, sampling, roots, failed):
+def tension_at(state, memory, i, per_pitch, lane):
+    """Tension of the element behind node i: its axial force and N of its span."""
+    pull = memory[i // per_pitch * per_pitch * layout.MEMORY + layout.N, lane] if len(memory) > 0 else 0.0
+    return state[i * layout.FIELDS + layout.V, lane] + pull
+
+
+@part
+def after_step(parameters, state, memory, per_pitch, inputs, step, sampling, roots, failed):
     """Sampling, failure and growth after a step; returns True if no lane is running.
 
     ``sampling``: steps until the first sample, steps between samples, nodes ``points`` (p, lanes), -1 for the root,
@@ -70,21 +82,24 @@ def after_step(parameters, state, inputs, step, sampling, roots, failed):
         running += 1
         if row >= 0:
             for p in range(len(points)):
-                node = points[p, lane] if points[p, lane] >= 0 else roots[lane]
+                node = points[p, lane] if points[p, lane] >= 0 else roots[lane] + 1 + points[p, lane]
                 for field in range(3):
                     samples[row, p, field, lane] = state[node * layout.FIELDS + field, lane]
-                samples[row, p, 3, lane] = state[min(node, roots[lane] - 1) * layout.FIELDS + layout.V, lane]
+                samples[row, p, 3, lane] = tension_at(state, memory, min(node, roots[lane] - 1), per_pitch, lane)
             for i in range(min(len(tension), roots[lane])):
-                tension[i, lane] += state[i * layout.FIELDS + layout.V, lane]
+                tension[i, lane] += tension_at(state, memory, i, per_pitch, lane)
         if inputs[k + APPEND, lane] != 0.0:
-            move_root(parameters, state, inputs, k, roots, lane)
+            move_root(parameters, state, memory, inputs, k, roots, lane)
     return running == 0
 
 
 @part
-def move_root(parameters, state, inputs, k, roots, lane):
+def move_root(parameters, state, memory, inputs, k, roots, lane):
     """``ticm.move_root`` for a lane."""
     q = roots[lane] * layout.FIELDS
+    if len(memory) > 0 and inputs[k + APPEND, lane] != 0.0:  # of the present root and of the next one
+        first = min(roots[lane], roots[lane] + int(inputs[k + APPEND, lane])) * layout.MEMORY
+        memory[first : first + 2 * layout.MEMORY, lane] = 0.0
     length = 2.0 * parameters[layout.SIN, lane] / parameters[layout.CURVATURE, lane]  # of an element, (2)
     if inputs[k + APPEND, lane] > 0.0:
         x, y = state[q + layout.X, lane], state[q + layout.Y, lane] * math.exp(-length / LEAVING)
@@ -246,6 +261,51 @@ def float_forces(float_, wall, forward, air, y, slide, turn):
 
 
 @traced
+def weight_friction(float_, wall, weight, forward, y):
+    """Friction of a float beyond mu N, along the tube: mu (sqrt(N^2 + w^2) - N).
+
+    Its moment remains that of mu N, because the contact point moves out of the plane.
+    """
+    _, gap, _ = float_
+    stiffness, coefficient, _ = wall
+    zero = splat(y, 0.0)
+    beyond = y - gap
+    normal = stiffness * (where_less(y, zero, zero - y, zero) + where_less(zero, beyond, beyond, zero))
+    more = coefficient * (square_root(multiply_add(normal, normal, weight * weight)) - normal)
+    return where_less(forward, zero, zero - more, more)
+
+
+@traced
+def held_forces(float_, wall, weighed, friction, forward, air, y, slide, turn, held):
+    """``float_forces`` with friction that also holds at rest, by a spring that yields at mu N; also the friction.
+
+    R = R_before + k_t slip dt, at most mu N; with a weight w across the plane mu sqrt(N^2 + w^2), of which at most mu N
+    turns the float, because the contact point moves out of the plane. From ``SLOW`` on R has its maximum at once.
+    ``friction`` is w and k_t dt, ``held`` is R_before; ``weighed`` is an empty tuple if weight is neglected.
+    """
+    (lever, gap, drag), (stiffness, coefficient, ratio), (weight, grip) = float_, wall, friction
+    zero = splat(y, 0.0)
+    relative = air - forward
+    beyond = y - gap
+    inner, outer = where_less(y, zero, zero - y, zero), where_less(zero, beyond, beyond, zero)
+    lever = where_less(y, zero, lever, zero - lever)
+    total = normal = stiffness * (inner + outer)
+    if len(weighed) > 0:
+        total = square_root(multiply_add(normal, normal, weight * weight))
+        lever = where_less(zero, normal, lever, zero)
+    maximum, turning = coefficient * total, coefficient * normal
+    slip, slow = slide + turn * lever, splat(y, SLOW)
+    held = held + grip * slip
+    held = where_less(slip, slow, where_less(held, maximum, held, maximum), maximum)
+    held = where_less(zero - slow, slip, where_less(zero - maximum, held, held, zero - maximum), zero - maximum)
+    arm = held  # in the plane, at most mu N
+    if len(weighed) > 0:
+        arm = where_less(held, turning, held, turning)
+        arm = where_less(zero - turning, arm, arm, zero - turning)
+    return drag * relative * magnitude(relative) - held, stiffness * (inner - outer), arm * lever * ratio, held
+
+
+@traced
 def cable_walls(float_, cable):
     """Radial displacements below and above which the cable between floats, thinner than a float, touches a wall."""
     lever, gap, _ = float_
@@ -283,12 +343,48 @@ def cable_forces(walls, cable, y, slide, turn):
 
 
 @njit(nogil=True, error_model="numpy", forceinline=True)
-def to_root(state, factors, nodes, drive, rates, model, coupling, compressed):
+def shorten_spans(state, memory, nodes, held, rigidity, turn):
+    """N of every span, and V + N with its mean axial force, see ``ticm.shorten``.
+
+    ``held`` are the roots of the lanes, ``rigidity`` is EA / 2. Apart from ``to_root``, which would wait for the sums.
+    """
+    top, bottom, _, per_pitch = nodes
+    zero, one = splat(held, 0.0), splat(held, 1.0)
+    whole = one / splat(held, float(per_pitch))
+    for first in range(0, top, per_pitch):
+        last, q, share = min(first + per_pitch, top), first * layout.FIELDS, whole
+        squares, force, count = zero, zero, zero
+        angle = load(state, q + layout.T) + turn * load(state, q + layout.X)
+        for i in range(first, last):
+            q = i * layout.FIELDS
+            ahead, axial = angle, load(state, q + layout.V)
+            angle = load(state, q + layout.FIELDS + layout.T) + turn * load(state, q + layout.FIELDS + layout.X)
+            both = ahead * ahead + angle * angle
+            if last > bottom:  # a root is among the nodes, behind which there is no cable
+                node = splat(held, float(i))
+                both, axial = where_less(node, held, both, zero), where_less(node, held, axial, zero)
+                count = count + where_less(node, held, one, zero)
+            squares, force = squares + both, force + axial
+        if last > bottom:
+            share = one / where_less(count, one, one, count)
+        elif last < first + per_pitch:
+            share = one / splat(held, float(last - first))
+        pull = 0.5 * rigidity * squares * share
+        store(memory, first * layout.MEMORY + layout.SPAN, force * share + pull)
+        store(memory, first * layout.MEMORY + layout.N, pull)
+
+
+@njit(nogil=True, error_model="numpy", forceinline=True)
+def to_root(state, memory, factors, nodes, drive, rates, model, coupling, compressed, options, terms):
     """Kick and elimination of all nodes, including the root; returns the largest |y| of the floats.
 
-    ``compressed`` as in ``imex_advance``, with one entry less if no cable is near a wall, which skips contact checks.
+    ``compressed`` and ``options`` as in ``imex_advance``, the former with one entry less if no cable is near a wall,
+    which skips contact checks. ``terms``: the drags of floats, weight and grip of friction, and for the shortening the
+    roots, EA / 2 and cosine and sine of the frame angle over the mass.
     """
-    top, last, per_pitch = nodes
+    top, _, last, per_pitch = nodes
+    weighed, varied, shortened, sticking = options
+    drags, friction, (held, rigidity, cosine, sine) = terms
     speed, slope, air = drive
     dt, tau, rate = rates
     kappa, couple, floats, wall = model
@@ -297,12 +393,26 @@ def to_root(state, factors, nodes, drive, rates, model, coupling, compressed):
     gx, gy, gt = zero, zero, zero
     walls = cable_walls(float_at(0, floats), cable)
     to_float, peak = 0, zero
+    if len(shortened) > 0:
+        shorten_spans(state, memory, nodes, held, rigidity, compressed_couple[1])
+    pull, pull_ahead, tension = zero, zero, zero
     for i in range(top + 1):
         q, f = i * layout.FIELDS, min(i, last) * layout.FACTORS
         x, y, t = load3(state, q + layout.X)
         vx, vy, vt = load3(state, q + layout.VX)
         forward = speed + vx
-        if len(compressed) > 0:
+        if len(shortened) > 0:
+            axial = tension
+            if to_float == 0:  # a float has half an element of either span
+                pull, tension = (
+                    load(memory, i * layout.MEMORY + layout.N),
+                    load(memory, i * layout.MEMORY + layout.SPAN),
+                )
+                axial = 0.5 * (axial + tension)
+            ax, ay, at = compressed_forces(kappa, compressed_couple, forward, vy, x, t, axial, dt)
+            ax, ay = ax + cosine * (pull_ahead - pull), ay - sine * (pull_ahead + pull)
+            pull_ahead = pull
+        elif len(compressed) > 0:
             ax, ay, at = compressed_forces(kappa, compressed_couple, forward, vy, x, t, load(state, q + layout.V), dt)
         else:
             ax, ay, at = inertia_forces(kappa, couple, forward, vy, t, load(state, q + layout.V), dt)
@@ -316,7 +426,19 @@ def to_root(state, factors, nodes, drive, rates, model, coupling, compressed):
         if to_float == 0:
             to_float = per_pitch
             slide, turn = speed + load(state, q + layout.GX) / tau, load(state, q + layout.GT) / tau
-            cx, cy, ct = float_forces(float_at(i, floats), wall, forward, air, y, slide, turn)
+            float_ = float_at(i, floats)
+            if len(varied) > 0:
+                float_ = float_[0], float_[1], load(drags, i // per_pitch)
+            if len(sticking) > 0:
+                at_held = i * layout.MEMORY + layout.HELD
+                cx, cy, ct, grip = held_forces(
+                    float_, wall, weighed, friction, forward, air, y, slide, turn, load(memory, at_held)
+                )
+                store(memory, at_held, grip)
+            else:
+                cx, cy, ct = float_forces(float_, wall, forward, air, y, slide, turn)
+                if len(weighed) > 0:
+                    cx = cx - weight_friction(float_, wall, friction[0], slide, y)
             ax, ay, at = ax + cx, ay + cy, at - ct
             height = magnitude(y)
             peak = where_less(peak, height, height, peak)
@@ -332,13 +454,18 @@ def to_root(state, factors, nodes, drive, rates, model, coupling, compressed):
 
 
 @kernel
-def imex_advance(parameters, compressed, factors, state, inputs, tops, bottoms, dt, per_pitch, sampling, roots, failed):
+def imex_advance(
+    parameters, compressed, options, drags, factors, state, memory, inputs, tops, bottoms, dt, per_pitch, sampling,
+    roots, failed,
+):  # fmt: skip
     """Advance all lanes; returns the number of steps.
 
     ``sampling``, ``roots`` and ``failed`` as in ``after_step``.
 
     ``compressed`` is a tuple; numba compiles a kernel for each length. Empty: neither of these; one entry:
-    the couple counts from the tangent in some lane; two entries: also the cable touches the walls.
+    the couple counts from the tangent in some lane; two entries: also the cable touches the walls. ``options`` and
+    ``drags`` as in ``superelement_advance``, ``drags`` per mass. ``memory`` (3 n, lanes) has
+    ``layout.MEMORY`` rows for each node, and is empty without shortening and held friction.
     """
     zero = splat(parameters, 0.0)
     last = len(factors) // layout.FACTORS - 1
@@ -353,19 +480,23 @@ def imex_advance(parameters, compressed, factors, state, inputs, tops, bottoms, 
     near = True  # whether cable was near a wall at the end of the last step, so that contact must be checked
     cosine = load(parameters, layout.AXIAL) * load(parameters, layout.COS)
     sine = load(parameters, layout.AXIAL) * load(parameters, layout.SIN)
+    friction = load(parameters, layout.WEIGHT), load(parameters, layout.GRIP)
+    mass = load(parameters, layout.MASS)
+    frame_cosine, frame_sine = load(parameters, layout.COS) / mass, load(parameters, layout.SIN) / mass
     for step in range(len(tops)):
         k = step * INPUTS
         drive = load(inputs, k + SPEED), load(inputs, k + SLOPE), load(inputs, k + AIR)
         top, bottom = tops[step], bottoms[step]
-        nodes = top, last, per_pitch
+        nodes = top, bottom, last, per_pitch
+        held = load(parameters, layout.ROOT)
+        terms = drags, friction, (held, load(parameters, layout.STRETCH), frame_cosine, frame_sine)
         if len(compressed) > 1 and (near or top != tops[step - 1]):  # a node appended at the root was not checked
-            peak = to_root(state, factors, nodes, drive, rates, model, coupling, compressed)
+            peak = to_root(state, memory, factors, nodes, drive, rates, model, coupling, compressed, options, terms)
         else:
-            peak = to_root(state, factors, nodes, drive, rates, model, coupling, compressed[:1])
+            peak = to_root(state, memory, factors, nodes, drive, rates, model, coupling, compressed[:1], options, terms)
         # back to the tip: solution and new state; down to the shortest probe's root the lanes are masked
         wx, wy, wt = zero, zero, zero
         minimum, maximum = low, high
-        held = load(parameters, layout.ROOT)
         for back in range(top - bottom + 1):
             i = top - back
             q = i * layout.FIELDS
@@ -394,7 +525,7 @@ def imex_advance(parameters, compressed, factors, state, inputs, tops, bottoms, 
                 minimum, maximum = extended_range(minimum, maximum, load(state, q + layout.Y))
         near = len(compressed) > 1 and (any_less(minimum, low) or any_less(high, maximum))
         store(parameters, layout.PEAK, peak)
-        if after_step(parameters, state, inputs, step, sampling, roots, failed):
+        if after_step(parameters, state, memory, per_pitch, inputs, step, sampling, roots, failed):
             return step + 1
     return len(tops)
 

@@ -9,7 +9,8 @@ damping force. The terms of f do not add energy to a passive probe:
   steps, and at d_new if the step ends there: its work is at most the decrease of its potential. Between floats the
   cable itself touches the wall. At depths of more than 10 mm the stiffness of a wall is 1e7 N/m;
 * friction opposes the sliding velocity of the contact point during the step, u + v_m, with mu N at d_new. Below a
-  velocity of mu N / c it sticks: a linear law with c = 100 m / (theta dt), which creeps some micrometres per second;
+  velocity of mu N / c it sticks: a linear law with c = 100 m / (theta dt), which creeps some micrometres per second.
+  With ``terms.stiction`` the friction of the last step is added to it, so that it does not creep;
 * weight adds mu (sqrt(N^2 + w^2) - N) against the motion u + v_m of a float, with N of the last iterate; it sticks in
   the same way;
 * the couple V l theta of (9) uses the axial force of the last step: tension is evaluated at d_new (convex), compression
@@ -42,13 +43,15 @@ from probe_env.physics.methods.ticm import (
     behind,
     move_root,
     record,
+    shorten,
+    span_force,
     through_point,
     to_node,
     turned,
 )
 from probe_env.physics.model.chain import Chain, max_pressure, max_tension
 from probe_env.physics.model.drive import AIR, SLOPE, SPEED
-from probe_env.physics.model.state import DIVERGED_RADIAL
+from probe_env.physics.model.state import DIVERGED_RADIAL, HELD
 from probe_env.scene import Scene
 
 TOLERANCE, MIN_FORCE = 1e-6, 1e-4  # relative to the largest contact force [N], at least the second
@@ -57,19 +60,28 @@ STICTION = 100.0  # c theta dt / m
 
 HARD_DEPTH, HARD_STIFFNESS = 0.01, 1e7  # [m], [N/m]
 
-INNER, OUTER, ARM, STIFFNESS, WEIGHT = range(5)
+INNER, OUTER, ARM, STIFFNESS, WEIGHT, HELD_SLIP = range(6)
 
 
 def contact_walls(chain: Chain) -> FloatArray:
-    """(n + 1, 5) y below and above which a node touches a wall, lever arm of friction, contact stiffness, weight."""
+    """(n + 1, 6) y below and above which a node touches a wall, lever arm of friction, contact stiffness, weight.
+
+    The last column, held friction over c, changes in every step.
+    """
     is_float = chain.contact_stiffness > 0.0
     if not is_float.any():
-        return np.tile([-math.inf, math.inf, 0.0, 0.0, 0.0], (chain.node_count, 1))
+        return np.tile([-math.inf, math.inf, 0.0, 0.0, 0.0, 0.0], (chain.node_count, 1))
     clearance = np.where(is_float, 0.0, chain.lever - chain.cable_radius)  # of the cable, beyond that of a float
     arm = np.where(is_float, chain.lever, chain.cable_radius)
     stiffness = np.full(chain.node_count, chain.contact_stiffness.max())
     weight = np.where(is_float, chain.float_weight, 0.0)
-    return np.column_stack([-clearance, chain.outer_gap + clearance, arm, stiffness, weight])
+    return np.column_stack([-clearance, chain.outer_gap + clearance, arm, stiffness, weight, 0.0 * weight])
+
+
+@njit(nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
+def geometry_of(walls, i):
+    """Row i of ``contact_walls``."""
+    return walls[i, 0], walls[i, 1], walls[i, 2], walls[i, 3], walls[i, 4], walls[i, 5]
 
 
 @njit(nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
@@ -108,7 +120,9 @@ def contact(wall, geometry, law, at, d, w):
     """Normal force N and sliding velocity of the contact point at w, for a node at d."""
     _, _, tau, _, speed, _, _, _ = law
     side, n0, n1 = push(wall, geometry, d[1], at)
-    return n0 - side * n1 * w[1], speed + (w[0] - d[0] + side * geometry[ARM] * (w[2] - d[2])) / tau
+    return n0 - side * n1 * w[1], speed + geometry[HELD_SLIP] + (
+        w[0] - d[0] + side * geometry[ARM] * (w[2] - d[2])
+    ) / tau
 
 
 @njit(nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
@@ -127,7 +141,7 @@ def slide_of(slip, maximum, stiction):
 def renew_weight(i, walls, law, first, state, work):
     """``renew_flags`` for the friction that weight adds at node i; returns the change of its force."""
     _, _, tau, stiction, speed, coefficient, frozen, _ = law
-    geometry, weight = (walls[i, 0], walls[i, 1], walls[i, 2], walls[i, 3]), walls[i, WEIGHT]
+    geometry, weight = geometry_of(walls, i), walls[i, WEIGHT]
     d, change, old, slip = (state.d[i, 0], state.d[i, 1], state.d[i, 2]), 0.0, work.flags[i, 2], 0.0
     at = moment_of_contact(geometry, law, d[1])
     maximum = work.rest[i]
@@ -158,7 +172,7 @@ def renew_flags(root, walls, law, fraction, first, state, work):
     _, _, _, stiction, _, coefficient, frozen, weighed = law
     worst, largest = 0.0, MIN_FORCE
     for i in range(root):
-        geometry = (walls[i, 0], walls[i, 1], walls[i, 2], walls[i, 3])
+        geometry = geometry_of(walls, i)
         d = (state.d[i, 0], state.d[i, 1], state.d[i, 2])
         w = (work.w[i, 0], work.w[i, 1], work.w[i, 2])
         at = moment_of_contact(geometry, law, d[1])
@@ -192,10 +206,24 @@ def renew_flags(root, walls, law, fraction, first, state, work):
     return worst, largest
 
 
+@njit(nogil=True, error_model="numpy", fastmath=FASTMATH)
+def hold(i, walls, law, state, work):
+    """Store the friction of node i at the end of a step, which the next step begins with."""
+    geometry, wall = geometry_of(walls, i), work.flags[i, 0]
+    state.memory[i, HELD] = 0.0
+    if wall > 0:
+        d, w = (state.d[i, 0], state.d[i, 1], state.d[i, 2]), (work.w[i, 0], work.w[i, 1], work.w[i, 2])
+        N, slip = contact(wall, geometry, law, moment_of_contact(geometry, law, d[1]), d, w)
+        maximum = work.bound[i] if law[6] else law[5] * max(N, 0.0)
+        state.memory[i, HELD] = min(max(law[3] * slip, -maximum), maximum)
+
+
 def couple_limits(chain: Chain, nodes_per_pitch: int) -> tuple[float, float]:
     """Largest compression and tension [N] in the couple V l theta, see chain.py."""
     h = chain.element_length
     rigidity = h / chain.bending_compliance
+    if chain.span:  # a clipped couple would not be the conjugate of N
+        return max_pressure(rigidity, h, None), math.inf
     return max_pressure(rigidity, h, nodes_per_pitch * h), max_tension(rigidity, h)
 
 
@@ -232,6 +260,10 @@ def free_rows(chain, weights, limits, speed, slope, air, state, i, P, q):
     q[i, 0] += drag * (air - speed + x / tau)
     q[i, 1] = chain.load[i, 1] + chain.mass * hy - (1.0 - half) * sy * y
     q[i, 2] = chain.load[i, 2] + chain.inertia * ht - chain.frame_inertia * hx
+    if chain.span > 0:
+        pull_x, pull_y = span_force(chain, state, i)
+        q[i, 0] += pull_x
+        q[i, 1] += pull_y
     q[i, 0] -= turn * couple * (1.0 - at_end) * relative
     q[i, 2] -= (1.0 - half) * st * t + couple * (1.0 - at_end) * relative
 
@@ -282,14 +314,14 @@ def solve(chain, root, walls, law, state, work):
         p4, p5, p6 = work.free_p[i, 4], work.free_p[i, 5], work.free_p[i, 6]
         q0, q1, q2 = work.free_q[i, 0], work.free_q[i, 1], work.free_q[i, 2]
         if work.flags[i, 0] > 0:  # (11)-(12)
-            geometry = (walls[i, 0], walls[i, 1], walls[i, 2], walls[i, 3])
+            geometry = geometry_of(walls, i)
             side, n0, n1 = push(work.flags[i, 0], geometry, d[i, 1], moment_of_contact(geometry, law, d[i, 1]))
             arm, slide = side * geometry[ARM], work.flags[i, 1]
             p2 += n1
             q1 += side * n0
             if slide == 0:
                 hold = stiction / tau
-                held = hold * (d[i, 0] + arm * d[i, 2]) - stiction * speed
+                held = hold * (d[i, 0] + arm * d[i, 2]) - stiction * (speed + geometry[HELD_SLIP])
                 p0 += hold
                 p3 += hold * arm
                 p5 += hold * arm * arm
@@ -345,7 +377,10 @@ def implicit_step(chain, weights, limits, walls, weighed, inputs, root, state, w
     dt, theta, tau = weights
     speed, w = inputs[SPEED], work.w
     stiction = STICTION * chain.mass / (theta * dt)
+    if chain.span > 0:
+        shorten(chain, root, tau, state.memory, state)
     for i in range(root):
+        walls[i, HELD_SLIP] = state.memory[i, HELD] / stiction
         free_rows(chain, weights, limits, speed, inputs[SLOPE], inputs[AIR], state, i, work.free_p, work.free_q)
         for k in range(3):  # the first iterate uses the mean velocity of the last step
             w[i, k] = state.d[i, k] + tau * state.memory[i, k]
@@ -365,6 +400,8 @@ def implicit_step(chain, weights, limits, walls, weighed, inputs, root, state, w
         if iterations == FREEZE_AFTER:
             law = (dt / tau, zeta * dt / tau, tau, stiction, speed, chain.friction, True, weighed)
     for i in range(root):
+        if chain.stiction:
+            hold(i, walls, law, state, work)
         for k in range(3):
             mean = (w[i, k] - state.d[i, k]) / tau
             state.d[i, k] += dt * mean
@@ -430,8 +467,9 @@ class Implicit(Method):
         nodes, counts = len(lane.state.d), np.zeros(2, dtype=np.int64)
         tension_sum = lane.tension_sum if len(lane.tension_sum) else np.zeros(nodes)
         begin = time.perf_counter()
+        chain, weights, limits, walls, weighed = lane.constants  # walls change, and copies of a probe share them
         arguments = (
-            *lane.constants, lane.inputs, lane.root, lane.state, workspace(nodes),
+            chain, weights, limits, walls.copy(), weighed, lane.inputs, lane.root, lane.state, workspace(nodes),
             first_sample, sample_every, lane.points, lane.samples, tension_sum, counts,
         )  # fmt: skip
         status, done, _, lane.root = advance(*arguments)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from abc import abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,12 +24,15 @@ from probe_env.physics.model.drive import APPEND, INPUTS
 (
     ROOT, SENSOR, CURVATURE, STIFFNESS, FRICTION, GUIDE_DRAG, CARRIER_DRAG, GUIDE_LEVER, CARRIER_LEVER,
     GUIDE_GAP, CARRIER_GAP, COS, SIN, AXIAL, COUPLE, MASS_RATIO, DAMPING, PEAK, TURN, TURN_FORCE, CABLE, CABLE_RADIUS,
-    PRESSURE, TENSION, WEIGHT,
-) = range(25)  # fmt: skip
-PARAMETERS = 25
+    PRESSURE, TENSION, WEIGHT, GRIP, STRETCH, MASS,
+) = range(28)  # fmt: skip
+PARAMETERS = 28
 # fields of a node, rows of its state: displacement, velocity, partial solution, axial force
 X, Y, T, VX, VY, VT, GX, GY, GT, V = range(10)
 FIELDS = 10
+# rows of its memory, if options use it: of a float N of the shortening, held friction per mass, and V + N of its span
+N, HELD, SPAN = range(3)
+MEMORY = 3
 # three matrices of a node, rows of its factors: E, F, U of imex, own, down, up of explicit
 FACTORS = 27
 A, B, C = 0, 9, 18
@@ -82,19 +85,31 @@ class LaneMethod(Method):
 class NodeLanes(LaneMethod):
     """A lane method with one row of the state per node: ``imex`` and ``explicit``."""
 
-    simulates_expansion = False
-    simulates_weight = False
-
     @abstractmethod
     def factors(self, chain: Chain, time_step: float) -> FloatArray:
         """(k, 27) matrices of the first k nodes from the tip; further nodes use the last row."""
 
     def constants(
         self, chain: Chain, sensor: int, nodes_per_pitch: int, time_step: float
-    ) -> tuple[FloatArray, FloatArray]:
-        """Parameters and factors of a probe."""
+    ) -> tuple[FloatArray, FloatArray, FloatArray | None]:
+        """Parameters and factors of a probe, and the drag per mass of each float if it differs, see ``own_drag``."""
         self.check_chain(chain, sensor, nodes_per_pitch)
-        return lane_parameters(chain, sensor, nodes_per_pitch), self.factors(chain, time_step)
+        values = lane_parameters(chain, sensor, nodes_per_pitch)
+        values[WEIGHT] /= chain.mass
+        if chain.stiction:
+            lever = float(chain.lever[:-1].max())
+            point = 1.0 / (1.0 + lever**2 * chain.mass / chain.inertia)  # mass of the point of contact over the node's
+            values[GRIP] = min(values[STIFFNESS] * time_step, point / time_step)
+        drag = own_drag(chain, sensor, nodes_per_pitch)
+        return values, self.factors(chain, time_step), None if drag is None else drag / chain.mass
+
+    def with_drag(self, constants: Any, chain: Chain, sensor: int, nodes_per_pitch: int, time_step: float) -> Any:
+        """See ``Method.with_drag``; nothing else is computed again."""
+        return *constants[:2], chain.drag[:-1:nodes_per_pitch] / chain.mass
+
+    def kind(self, constants: Any) -> Hashable:
+        """Options of the kernel: other kernels round differently."""
+        return tuple(map(bool, options_of(constants[0])))
 
     def run(
         self, lanes: Sequence[KernelArguments], time_step: float, per_pitch: int, first_sample: int, sample_every: int
@@ -108,19 +123,28 @@ class NodeLanes(LaneMethod):
         rows = max(len(lane.constants[1]) for lane in lanes)
         packed_factors = np.zeros((rows, FACTORS, width), dtype=precision)
         packed = np.zeros((nodes, FIELDS, width), dtype=precision)
+        weighed, shortened, sticking = options_of(lanes[0].constants[0])
+        memory = np.zeros((nodes if shortened or sticking else 0, MEMORY, width), dtype=precision)
         for k, lane in enumerate(lanes):
             probe, factors = lane.state, lane.constants[1]
             packed_factors[: len(factors), :, k] = factors
             packed_factors[len(factors) :, :, k] = factors[-1]
             packed[: lane.root + 1, X : T + 1, k] = probe.d[: lane.root + 1]
             packed[: lane.root, VX : VT + 1, k] = probe.v[: lane.root]
-            packed[: lane.root, GX : GT + 1, k] = probe.memory[: lane.root]
+            packed[: lane.root, GX : GT + 1, k] = probe.memory[: lane.root, :3]
+            memory[: lane.root, :SPAN, k] = probe.memory[: min(lane.root, len(memory)), 3:]
             packed[: lane.root, V, k] = probe.axial_force[: lane.root]
         samples, tension = group.scratch(lanes, nodes)
-        compressed = (0, 0) if (parameters[CABLE] > 0.0).any() else (0,) if (parameters[TURN] > 0.0).any() else ()
+        turned = (parameters[[TURN, STRETCH]] > 0.0).any()
+        compressed = (0, 0) if (parameters[CABLE] > 0.0).any() else (0,) if turned else ()
+        varied = (0,) * any(lane.constants[2] is not None for lane in lanes)
+        drags = np.zeros((nodes if varied else 0, width), dtype=precision)
+        for k, lane in enumerate(lanes if varied else ()):
+            drags[:, k] = float_drags(lane.constants[0], lane.constants[2], np.arange(nodes) * per_pitch)
         begin = time.perf_counter()
         self.kernel(
-            parameters, compressed, packed_factors.reshape(-1, width), packed.reshape(-1, width),
+            parameters, compressed, (weighed, varied, shortened, sticking), drags,
+            packed_factors.reshape(-1, width), packed.reshape(-1, width), memory.reshape(-1, width),
             group.inputs.reshape(-1, width), held[:-1].max(axis=1), held[:-1].min(axis=1), time_step, per_pitch,
             (first_sample, sample_every, group.points, samples, tension), roots, group.failed,
         )  # fmt: skip
@@ -130,7 +154,10 @@ class NodeLanes(LaneMethod):
             probe, free = lane.state, lane.root
             probe.d[: free + 1], probe.d[free + 1 :] = packed[: free + 1, X : T + 1, k], 0.0
             probe.v[:free], probe.v[free:] = packed[:free, VX : VT + 1, k], 0.0
-            probe.memory[:free], probe.memory[free:] = packed[:free, GX : GT + 1, k], 0.0
+            probe.memory[:free, :3], probe.memory[free:] = packed[:free, GX : GT + 1, k], 0.0
+            if len(memory):
+                pulls = np.repeat(memory[:free:per_pitch, N, k], per_pitch)[:free]
+                probe.memory[:free, 3], probe.memory[:free, 4] = pulls, memory[:free, HELD, k]
             probe.axial_force[:free], probe.axial_force[free:] = packed[:free, V, k], 0.0
             covered = min(len(tension), len(lane.tension_sum))
             lane.tension_sum[:covered] += tension[:covered, k]
@@ -141,7 +168,7 @@ class LaneGroup(NamedTuple):
     """Arguments of a kernel for a group of probes in ``width`` lanes; idle lanes are marked in ``failed``.
 
     Attributes:
-        parameters: (25, width), see ``lane_parameters``; ``ROOT`` is the held node.
+        parameters: (28, width), see ``lane_parameters``; ``ROOT`` is the held node.
         inputs: (steps, 4, width), see model/drive.py.
         points: (p, width) sampled nodes, -1 for the root.
         roots: (width,) held nodes.
@@ -158,7 +185,7 @@ class LaneGroup(NamedTuple):
     def pack(cls, lanes: Sequence[KernelArguments], width: int, precision: npt.DTypeLike) -> LaneGroup:
         """Pack probes into the first lanes with a floating-point type."""
         parameters = np.zeros((PARAMETERS, width), dtype=precision)
-        parameters[DAMPING] = 1.0  # idle lanes divide by it
+        parameters[[DAMPING, WEIGHT, MASS]] = 1.0  # idle lanes divide by them
         inputs = np.zeros((len(lanes[0].inputs), INPUTS, width), dtype=precision)
         points = np.zeros((len(lanes[0].points), width), dtype=np.int64)
         roots, failed = np.zeros(width, dtype=np.int64), np.full(width, -1, dtype=np.int64)
@@ -187,8 +214,29 @@ class LaneGroup(NamedTuple):
             lane.samples[...] = samples[..., k]
 
 
+def options_of(parameters: FloatArray) -> tuple[tuple[int, ...], ...]:
+    """Options of the kernels for weight, shortening and held friction: tuples that are empty or not."""
+    return tuple((0,) * bool(parameters[row] > 0.0) for row in (WEIGHT, STRETCH, GRIP))
+
+
+def own_drag(chain: Chain, sensor: int, nodes_per_pitch: int) -> FloatArray | None:
+    """Drag of every float (n,), or None if it is equal in the guide and in the carrier."""
+    drag = chain.drag[:-1:nodes_per_pitch]
+    first = sensor // nodes_per_pitch + 1  # float of the carrier
+    equal = all(np.ptp(part) == 0.0 for part in (drag[:first], drag[first:]) if len(part))
+    return None if equal else drag
+
+
+def float_drags(parameters: FloatArray, drag: FloatArray | None, places: npt.NDArray[np.int64]) -> FloatArray:
+    """Drag of the floats at some nodes (floats, if the sensor is one): ``drag`` or that of guide and carrier."""
+    rows: FloatArray = np.where(places - 0.5 < parameters[SENSOR], parameters[GUIDE_DRAG], parameters[CARRIER_DRAG])
+    if drag is not None:
+        rows[: len(drag)] = drag[: len(rows)]
+    return rows
+
+
 def lane_parameters(chain: Chain, sensor: int, nodes_per_pitch: int) -> FloatArray:
-    """(25,) parameters of a lane; ``ROOT`` and ``PEAK`` are set in each run."""
+    """(28,) parameters of a lane; ``ROOT`` and ``PEAK`` are set in each run, ``GRIP`` by the method."""
     carrier = min((sensor // nodes_per_pitch + 1) * nodes_per_pitch, len(chain.drag) - 1)
     values = np.zeros(PARAMETERS)
     values[SENSOR] = sensor
@@ -207,4 +255,6 @@ def lane_parameters(chain: Chain, sensor: int, nodes_per_pitch: int) -> FloatArr
     values[[CABLE, CABLE_RADIUS]] = chain.cable_stiffness / chain.mass, chain.cable_radius
     values[[PRESSURE, TENSION]] = chain.max_pressure, chain.max_tension
     values[WEIGHT] = chain.float_weight
+    values[STRETCH] = 0.5 * chain.element_length / chain.axial_compliance if chain.span else 0.0
+    values[MASS] = chain.mass
     return values

@@ -59,6 +59,7 @@ class Method(ABC):
         simulates_withdrawal: whether it simulates compression on the outer wall, and nodes that leave at the root.
         simulates_expansion: whether the drag may differ between equal floats, as in compressible air.
         simulates_weight: whether weight adds to friction.
+        simulates_terms: whether bending may shorten the cable and friction hold at rest, see ``scene.Terms``.
     """
 
     name: str
@@ -67,11 +68,12 @@ class Method(ABC):
     min_step: float = 0.0
     precision: npt.DTypeLike = np.float64
     single_fraction: float = 1.0
-    memory: int = 3
+    memory: int = 5
     on_nodes: bool = True
     simulates_withdrawal: bool = True
     simulates_expansion: bool = True
     simulates_weight: bool = True
+    simulates_terms: bool = True
 
     @property
     def width(self) -> int:

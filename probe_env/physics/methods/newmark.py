@@ -50,7 +50,7 @@ def wilson(time_step: float, theta: float = 1.4) -> Scheme:
 
 
 class Workspace(NamedTuple):
-    """Scratch of one step: node equations P (n + 1, 6), q (n + 1, 3) and T (n + 1, 9), s (n + 1, 3)."""
+    """Scratch of one step: node equations P (n + 1, 7), q (n + 1, 3) and T (n + 1, 9), s (n + 1, 3)."""
 
     P: FloatArray
     q: FloatArray
@@ -60,7 +60,7 @@ class Workspace(NamedTuple):
 
 def workspace(nodes: int) -> Workspace:
     """Scratch arrays for a chain of ``nodes`` nodes."""
-    return Workspace(np.zeros((nodes, 6)), np.zeros((nodes, 3)), np.zeros((nodes, 9)), np.zeros((nodes, 3)))
+    return Workspace(np.zeros((nodes, 7)), np.zeros((nodes, 3)), np.zeros((nodes, 9)), np.zeros((nodes, 3)))
 
 
 class Newmark(Method):

@@ -5,7 +5,7 @@ import math
 from numba import njit
 
 from probe_env.physics.model.drive import AIR, APPEND, SLOPE, SPEED
-from probe_env.physics.model.state import DIVERGED_RADIAL
+from probe_env.physics.model.state import DIVERGED_RADIAL, HELD, SHORTENING
 
 FASTMATH = {"contract"}
 
@@ -39,20 +39,79 @@ def move_root(chain, inputs, root, state):
 
 @njit(cache=True, nogil=True)
 def record(state, root, points, samples, row, tension_sum):
-    """Store one sample of all points (point < 0: the held root) and add the axial forces to ``tension_sum``."""
+    """Store one sample of all points (point < 0: from the held root, -1) and add the tensions to ``tension_sum``."""
     for p in range(len(points)):
-        i = points[p] if points[p] >= 0 else root
+        i = points[p] if points[p] >= 0 else root + 1 + points[p]
         samples[row, p, 0] = state.d[i, 0]
         samples[row, p, 1] = state.d[i, 1]
         samples[row, p, 2] = state.d[i, 2]
-        samples[row, p, 3] = state.axial_force[min(i, root - 1)]
+        i = min(i, root - 1)
+        samples[row, p, 3] = state.axial_force[i] + state.memory[i, SHORTENING]
     for i in range(root):
-        tension_sum[i] += state.axial_force[i]
+        tension_sum[i] += state.axial_force[i] + state.memory[i, SHORTENING]
+
+
+@njit(cache=True, nogil=True)
+def shorten(chain, root, lag, velocity, state):
+    """N of every element (``SHORTENING`` of the memory) and V + N of the couple, in place of its axial force.
+
+    The bent span is shortened by theta^2 / 2, so its axial strain is x' + y / r + theta^2 / 2. With the square taken as
+    uniform over a span of p, which axial waves cross in 0.1 ms, its energy is
+
+        sum of V^2 h / (2 EA) + N p mean(V) / EA + N^2 p / (2 EA),    N = (EA / p) sum of theta^2 h / 2.
+
+    Its derivatives are a couple (mean(V) + N) l theta at every node, and the force of an axial force N on the ends of
+    every element. theta is that of the couple, extrapolated by ``lag`` [s] with a velocity (n + 1, 3).
+    """
+    before = 0.0  # V + N of the span on the tip side
+    for first in range(0, root, chain.span):
+        count = min(chain.span, root - first)
+        squares = force = 0.0
+        for i in range(first, first + count + 1):
+            angle = state.d[i, 2] + lag * velocity[i, 2] + chain.couple_turn * (state.d[i, 0] + lag * velocity[i, 0])
+            squares += (0.5 if i in (first, first + count) else 1.0) * angle * angle
+            if i < first + count:
+                force += state.axial_force[i]
+        pull = 0.5 * chain.element_length / chain.axial_compliance * squares / count
+        tension = force / count + pull
+        for i in range(first, first + count):
+            state.memory[i, SHORTENING] = pull
+            state.axial_force[i] = tension
+        state.axial_force[first] = 0.5 * (tension + before)  # half an element of either span
+        before = tension
+
+
+@njit(nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
+def span_force(chain, state, i):
+    """Axial and radial force of N of the elements on both sides of node i."""
+    on_root_side, on_tip_side = state.memory[i, SHORTENING], state.memory[i - 1, SHORTENING] if i > 0 else 0.0
+    return chain.cos_phi * (on_tip_side - on_root_side), -chain.sin_phi * (on_tip_side + on_root_side)
+
+
+@njit(nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
+def node_contact(chain, i):
+    """Stiffness and lever of the contact at node i, and y below and above which it touches a wall."""
+    k, lever, inner, outer = chain.contact_stiffness[i], chain.lever[i], 0.0, chain.outer_gap[i]
+    if k == 0.0 and chain.cable_stiffness > 0.0:  # the cable between floats, further from both walls
+        k, lever = chain.cable_stiffness, chain.cable_radius
+        inner = lever - chain.lever[i]
+        outer -= inner
+    return k, lever, inner, outer
+
+
+@njit(nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
+def grip(chain, i, y):
+    """Largest friction at node i, mu sqrt(N^2 + w^2), and the lever arm of the friction."""
+    k, lever, inner, outer = node_contact(chain, i)
+    depth = max(inner - y, y - outer, 0.0)
+    total = math.hypot(k * depth, chain.float_weight if chain.contact_stiffness[i] > 0.0 else 0.0)
+    arm = lever * k * depth / total if total > 0.0 else 0.0
+    return chain.friction * total, arm if y < inner else -arm
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH, inline="always")
 def node_equation(chain, scheme, feed_speed, slope, air, state, i, P, q):
-    """P_j and q_j of (17) from the last state; P as (xx, xy, yy, tx, ty, tt)."""
+    """P_j and q_j of (17) from the last state; P as (xx, xy, yy, tx, ty, tt, xt)."""
     d, v, a = state.d, state.v, state.memory
     y = d[i, 1]
     speed = feed_speed + v[i, 0]
@@ -82,17 +141,34 @@ def node_equation(chain, scheme, feed_speed, slope, air, state, i, P, q):
 
     if state.axial_force[i] < -chain.max_pressure:  # more than the buckled cable takes
         P[i, 5] -= (state.axial_force[i] + chain.max_pressure) * chain.couple_length
+    if chain.span > 0:
+        pull_x, pull_y = span_force(chain, state, i)
+        q_x += pull_x
+        q_y += pull_y
     if chain.drag[i] > 0.0:  # (10)
         relative = air - speed
         q_x += chain.drag[i] * relative * abs(relative)
-    k, lever, inner, outer = chain.contact_stiffness[i], chain.lever[i], 0.0, chain.outer_gap[i]
-    if k == 0.0 and chain.cable_stiffness > 0.0:  # the cable between floats, further from both walls
-        k, lever = chain.cable_stiffness, chain.cable_radius
-        inner = lever - chain.lever[i]
-        outer -= inner
+    k, lever, inner, outer = node_contact(chain, i)
+    P_xt, stuck, inner_slip, outer_slip = 0.0, False, speed + v[i, 2] * lever, speed - v[i, 2] * lever
+    if chain.stiction and k > 0.0:
+        limit, arm = grip(chain, i, y)
+        step = scheme.theta * scheme.time_step
+        trial = state.memory[i, HELD] + k * step * (speed + v[i, 2] * arm)
+        inner_slip = outer_slip = trial
+        stuck = abs(trial) < limit
+        if stuck:
+            P[i, 0] += k
+            P_xt = k * arm
+            P[i, 3] += k * arm
+            P[i, 5] += k * arm * arm
+            held = state.memory[i, HELD] + k * (feed_speed * step - d[i, 0] - arm * d[i, 2])
+            q_x -= held
+            q_t -= arm * held
     if k > 0.0:
         if y < inner:  # inner wall, (11)-(12)
-            mu_k = k * chain.friction if speed + v[i, 2] * lever >= 0.0 else -k * chain.friction
+            mu_k = k * chain.friction if inner_slip >= 0.0 else -k * chain.friction
+            if stuck:
+                mu_k = 0.0
             P_xy -= mu_k
             P_yy += k
             P_ty -= mu_k * lever
@@ -100,20 +176,25 @@ def node_equation(chain, scheme, feed_speed, slope, air, state, i, P, q):
             q_y += k * inner
             q_t -= mu_k * lever * inner
         elif y > outer:  # outer wall: the contact point is on the other side of the float
-            mu_k = k * chain.friction if speed - v[i, 2] * lever >= 0.0 else -k * chain.friction
+            mu_k = k * chain.friction if outer_slip >= 0.0 else -k * chain.friction
+            if stuck:
+                mu_k = 0.0
             P_xy += mu_k
             P_yy += k
             P_ty -= mu_k * lever
             q_x += mu_k * outer
             q_y += k * outer
             q_t -= mu_k * lever * outer
-    if chain.float_weight > 0.0 and chain.contact_stiffness[i] > 0.0:  # mu sqrt(N^2 + w^2) instead of mu N
+    if (
+        chain.float_weight > 0.0 and chain.contact_stiffness[i] > 0.0 and not stuck
+    ):  # mu sqrt(N^2 + w^2) instead of mu N
         normal = chain.contact_stiffness[i] * max(-y, y - chain.outer_gap[i], 0.0)
         more = chain.friction * (math.hypot(normal, chain.float_weight) - normal)
-        q_x -= more if speed >= 0.0 else -more
+        q_x -= more if (inner_slip if chain.stiction else speed) >= 0.0 else -more
     P[i, 1] = P_xy
     P[i, 2] = P_yy
     P[i, 4] = P_ty
+    P[i, 6] = P_xt
     q[i, 0] = q_x
     q[i, 1] = q_y
     q[i, 2] = q_t
@@ -230,6 +311,8 @@ def ticm_step(chain, scheme, inputs, root, state, work):
     c, sn, h = chain.cos_phi, chain.sin_phi, chain.element_length
     # scalars before the loop: numba would load the inputs again for every node
     speed, slope, air = inputs[SPEED], inputs[SLOPE], inputs[AIR]
+    if chain.span > 0:
+        shorten(chain, root, scheme.theta * scheme.time_step, state.v, state)
     damped = 1.0 + chain.damping_time * scheme.B_v
     delta = chain.damping_time / damped
     F = (
@@ -257,7 +340,7 @@ def ticm_step(chain, scheme, inputs, root, state, work):
         sy += h * st + delta * (wy + h * wt - (c * vy - sn * vx))
         st += delta * (wt - vt)
         Tj, sj = to_node(Tj, (sx, sy, st), c, sn, h, F)
-        p = (P[i, 0], P[i, 1], P[i, 2], P[i, 3], P[i, 4], P[i, 5], 0.0)
+        p = (P[i, 0], P[i, 1], P[i, 2], P[i, 3], P[i, 4], P[i, 5], P[i, 6])
         (sx, sy, st), Tj = through_point(Tj, sj, p, (q[i, 0], q[i, 1], q[i, 2]))
         if i == 0:
             break  # the tip: (27) needs no turn
@@ -272,11 +355,17 @@ def ticm_step(chain, scheme, inputs, root, state, work):
     x, y, t = sx, sy, st
     fx = fy = ft = 0.0
     for i in range(root):
-        gx = fx + q[i, 0] - P[i, 0] * x - P[i, 1] * y
+        gx = fx + q[i, 0] - P[i, 0] * x - P[i, 1] * y - P[i, 6] * t
         gy = fy + q[i, 1] - P[i, 2] * y
         gt = ft + q[i, 2] - P[i, 3] * x - P[i, 4] * y - P[i, 5] * t
+        old_x, old_t = state.d[i, 0], state.d[i, 2]
         if not update_node(scheme, state, i, x, y, t) and diverged < 0:
             diverged = i
+        if chain.stiction:
+            limit, arm = grip(chain, i, state.d[i, 1])
+            slip = speed * scheme.time_step + state.d[i, 0] - old_x + arm * (state.d[i, 2] - old_t)
+            held = state.memory[i, HELD] + node_contact(chain, i)[0] * slip
+            state.memory[i, HELD] = min(max(held, -limit), limit)
         state.axial_force[i], x, y, t, fx, fy, ft = behind(T, s, i + 1, gx, gy, gt, c, sn, h)
     return diverged
 

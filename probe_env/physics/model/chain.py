@@ -38,13 +38,15 @@ class Chain(NamedTuple):
     curvature: float
     couple_length: float  # l in V l theta of (9); 0 switches the couple off
     frame_inertia: float  # J / r of (15)
+    couple_turn: float  # curvature if the couple counts from the tangent of the tube, else 0
+    span: int  # elements between floats, whose bending shortens them; 0 neglects it
     friction: float
+    stiction: bool  # whether friction holds at rest
     float_weight: float  # of a pitch of cable, across the plane [N]; 0 neglects it
     cable_radius: float  # d_c / 2, for contact of the cable
     cable_stiffness: float  # of the wall for the cable; 0 if only floats touch
     max_pressure: float  # largest compression in the couple [N]; infinite if only floats touch
     max_tension: float  # largest tension in the couple [N]; infinite if only floats touch
-    couple_turn: float  # curvature if the couple counts from the tangent of the tube, else 0
     contact_stiffness: FloatArray  # 0 where there is no float
     outer_gap: FloatArray  # d_in - d_f; infinite with the inner wall alone
     lever: FloatArray  # d_f / 2
@@ -74,6 +76,7 @@ def build_chain(scene: Scene, nodes_per_pitch: int = 4, length: float | None = N
     curvature = 2.0 / tube.helix_diameter
     cable_area = math.pi * probe.cable_diameter**2 / 4.0
     frontal_area = math.pi * diameter**2 / 4.0 - cable_area
+    pressure = max_pressure(probe.flexural_rigidity, h, None if scene.terms.shortening else probe.float_pitch)
     gap = tube.clear_diameter - diameter if contact.walls == "both" else np.full(nodes, np.inf)
     return Chain(
         element_length=h,
@@ -89,13 +92,17 @@ def build_chain(scene: Scene, nodes_per_pitch: int = 4, length: float | None = N
         curvature=curvature,
         couple_length=h,
         frame_inertia=inertia * curvature,
+        couple_turn=curvature if scene.couple == "tangent" else 0.0,
+        span=nodes_per_pitch if scene.terms.shortening else 0,
         friction=contact.friction,
+        stiction=scene.terms.stiction,
         float_weight=probe.line_density * probe.float_pitch * GRAVITY if contact.weight else 0.0,
         cable_radius=probe.cable_diameter / 2.0,
         cable_stiffness=contact.stiffness if contact.cable else 0.0,
-        max_pressure=max_pressure(probe.flexural_rigidity, h, probe.float_pitch) if contact.cable else math.inf,
-        max_tension=max_tension(probe.flexural_rigidity, h) if contact.cable else math.inf,
-        couple_turn=curvature if scene.couple == "tangent" else 0.0,
+        max_pressure=pressure if contact.cable else math.inf,
+        max_tension=max_tension(probe.flexural_rigidity, h)
+        if contact.cable and not scene.terms.shortening
+        else math.inf,
         contact_stiffness=np.where(is_float, contact.stiffness, 0.0),
         outer_gap=gap,
         lever=diameter / 2.0,
@@ -200,13 +207,32 @@ def element_stiffness(chain: Chain) -> FloatArray:
     )
 
 
-def max_pressure(flexural_rigidity: float, element_length: float, float_pitch: float) -> float:
+def entrance_force(chain: Chain, ahead: FloatArray, root: FloatArray) -> FloatArray:
+    """Axial force (...) [N] with which the bent cable at the entrance resists the feed: M^2 / (2 EI).
+
+    Along a cable between walls without friction T - M^2 / (2 EI) is constant. M is zero behind the entrance, and ahead
+    of it EI / r and the moment m of the held root: the feed device feels the root tension less (EI / r + m)^2 / (2 EI).
+
+    Args:
+        chain: the probe.
+        ahead: (..., 3) displacement of the last free node.
+        root: (..., 3) displacement of the held root.
+    """
+    head, tail = element_blocks(chain)
+    force = (ahead @ head.T + root @ tail.T) @ element_stiffness(chain)
+    rigidity = chain.element_length / chain.bending_compliance
+    moment = rigidity * chain.curvature - (chain.element_length * force[..., 1] + force[..., 2])
+    return np.asarray(0.5 * moment**2 / rigidity)
+
+
+def max_pressure(flexural_rigidity: float, element_length: float, float_pitch: float | None) -> float:
     """Largest compression [N] in the couple V l theta if the cable touches the walls.
 
-    Beyond pi^2 EI / p^2 the cable has buckled between floats and lies against the walls; beyond EI / h^2 the mesh does
-    not resolve its bending.
+    Beyond EI / h^2 the mesh does not resolve bending. Beyond pi^2 EI / p^2 the cable has buckled between floats and
+    lies against the walls; there is no such limit (None) if bending shortens the cable, which unloads it.
     """
-    return flexural_rigidity * min(1.0 / element_length**2, (math.pi / float_pitch) ** 2)
+    limit = 1.0 / element_length**2
+    return flexural_rigidity * (limit if float_pitch is None else min(limit, (math.pi / float_pitch) ** 2))
 
 
 def max_tension(flexural_rigidity: float, element_length: float) -> float:

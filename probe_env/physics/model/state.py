@@ -10,15 +10,18 @@ import numpy.typing as npt
 
 from probe_env.arrays import FloatArray
 
+SHORTENING, HELD = 3, 4
 DIVERGED_RADIAL = 1.0  # [m]; a tube is a few centimetres wide
 
 
 class State(NamedTuple):
     """Displacement and velocity (n + 1, 3), memory of the last step (n + 1, w), axial force of each element (n + 1,).
 
-    ``memory`` depends on the method: acceleration (Newmark, Wilson), mean velocity of the last step (implicit), the
-    fields GX, GY, GT of a lane (imex), momenta and modes in the rows of floats (superelement); ``explicit`` does not
-    use it. Its width w is ``Method.memory``, usually 3.
+    The first three columns of ``memory`` depend on the method: acceleration (Newmark, Wilson), mean velocity of the
+    last step (implicit), the fields GX, GY, GT of a lane (imex), momenta in the rows of floats (superelement, whose
+    modes follow in the last columns); ``explicit`` does not use them. Column ``SHORTENING`` is the tension N from the
+    shortening of the bent span [N], column ``HELD`` the friction that resists sliding at the end of the last step [N].
+    The width w is ``Method.memory``, usually 5.
 
     ``axial_force[i]`` is Vbar of (8) at node i, on its root side; the last entry is unused.
     """
@@ -28,8 +31,13 @@ class State(NamedTuple):
     memory: FloatArray
     axial_force: FloatArray
 
+    @property
+    def tension(self) -> FloatArray:
+        """(n + 1,) tension at every node, on its root side: axial force and N [N]."""
+        return self.axial_force + self.memory[:, SHORTENING]
 
-def at_rest(nodes: int, memory: int = 3) -> State:
+
+def at_rest(nodes: int, memory: int = 5) -> State:
     """All zero, the initial state of the study; ``memory`` is ``Method.memory``."""
     return State(np.zeros((nodes, 3)), np.zeros((nodes, 3)), np.zeros((nodes, memory)), np.zeros(nodes))
 

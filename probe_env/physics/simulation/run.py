@@ -20,6 +20,8 @@ from probe_env.physics.model.state import State
 if TYPE_CHECKING:
     import pandas as pd
 
+ROOT: Final = -1
+"""Sampled node at the held root, which moves as the probe grows."""
 CHANNELS: Final = 4
 """Values of a sample: x, y, theta and V."""
 QUANTITIES: Final = {"axial": "m", "radial": "m", "rotation": "rad", "tension": "N"}
@@ -58,7 +60,8 @@ class Run:
         time: (k,) [s].
         axial, radial: (k, p) displacement from an unstretched probe moving at the feed speed [m].
         rotation: (k, p) [rad].
-        tension: (k, p) axial force in the element on the point's root side [N]; for the root, ahead of it.
+        tension: (k, p) axial force in the element on the point's root side [N]; for the root, ahead of it, less the
+            force of the entrance with ``terms.entrance``.
         points: names of the points, in the order of the columns.
         distance_from_tip: (p,) of the node of each point [m].
         mean_tension: (n,) axial force of every element, mean of all samples after the first [N].
@@ -207,7 +210,7 @@ class Recorder:
 
     def add_snapshot(self, time: float, state: State) -> None:
         """Add a snapshot at a time [s]."""
-        self.shapes.append((time, state.d.copy(), state.axial_force.copy()))
+        self.shapes.append((time, state.d.copy(), state.tension))
 
     def to_run(self, first: int, time_step: float, points: Sequence[str | float]) -> Run:
         """The recorded run; it began after ``first`` steps of ``time_step`` [s]."""
@@ -248,7 +251,7 @@ def node_of(point: str | float, sensor: int, length: float, element_length: floa
         element_length: [m].
     """
     if isinstance(point, str):
-        named = {"sensor": sensor, "tip": 0, "root": -1}
+        named = {"sensor": sensor, "tip": 0, "root": ROOT}
         if point not in named:
             raise ValueError(
                 f"points: {point!r} is not sensor, tip, root or a distance from the tip of 0 to {length:g} m"

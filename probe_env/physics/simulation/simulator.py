@@ -9,15 +9,32 @@ from collections.abc import Callable, Sequence
 from typing import Any, Final, Literal, TypedDict, Unpack
 
 import numpy as np
+import numpy.typing as npt
 
 from probe_env.arrays import FloatArray
 from probe_env.errors import SimulationError, StabilityWarning
 from probe_env.physics.methods import check_scene, check_step, method_named, method_names
 from probe_env.physics.methods.method import KernelArguments, Method
-from probe_env.physics.model.chain import air_speed, build_chain, drag_factors, outer_start, sensor_node
+from probe_env.physics.model.chain import (
+    air_speed,
+    build_chain,
+    drag_factors,
+    entrance_force,
+    outer_start,
+    sensor_node,
+)
 from probe_env.physics.model.drive import Drive
 from probe_env.physics.model.state import at_rest, check_points, check_state
-from probe_env.physics.simulation.run import Recorder, Run, Samples, node_of, progress_bar, snapshot_steps
+from probe_env.physics.simulation.run import (
+    CHANNELS,
+    ROOT,
+    Recorder,
+    Run,
+    Samples,
+    node_of,
+    progress_bar,
+    snapshot_steps,
+)
 from probe_env.scene import Scene
 from probe_env.settings import check_keywords, whole_steps, within
 
@@ -64,14 +81,20 @@ def advance_group(simulators: Sequence[Simulator], samples: Sequence[Samples], d
         if not running:
             break
         lanes = []
+        entrance = any(s.scene.terms.entrance and (record.points == ROOT).any() for s, record in running)
         for s, record in running:
             room, spare = s.chain.node_count - 1 - s.root, max(s.root - s.sensor - nodes_per_pitch, 0)
             constants = s.constants_in_air()
             inputs = s.drive.inputs_of_steps(count, time_step, s.chain.element_length, room, spare)
-            rows = record.rows[first // every : (first + count) // every]  # to be filled in this call
-            lanes.append(KernelArguments(constants, s.state, s.root, inputs, record.points, rows, record.tension_sum))
+            rows, points = record.rows[first // every : (first + count) // every], record.points  # filled in this call
+            if entrance:  # and the node ahead of the root
+                points, rows = np.append(points, ROOT - 1), np.zeros((len(rows), len(points) + 1, CHANNELS))
+            lanes.append(KernelArguments(constants, s.state, s.root, inputs, points, rows, record.tension_sum))
         seconds += simulators[0].method.run(lanes, time_step, nodes_per_pitch, every - first % every, every)
-        for (s, _), lane in zip(running, lanes, strict=True):
+        for (s, record), lane in zip(running, lanes, strict=True):
+            if entrance:
+                s.subtract_entrance(lane.samples[:, :-1], record.points, lane.samples[:, -1, :3])
+                record.rows[first // every : (first + count) // every] = lane.samples[:, :-1]
             s.steps_done += lane.failed or count
             s.root = int(lane.root)
             s.iterations += lane.iterations
@@ -281,7 +304,7 @@ class Simulator:
     @property
     def tension(self) -> FloatArray:
         """(n,) present axial force of every element [N], entrance first."""
-        return self.state.axial_force[self.root - 1 :: -1].copy()
+        return self.state.tension[self.root - 1 :: -1].copy()
 
     def run(
         self,
@@ -335,6 +358,7 @@ class Simulator:
             raise self._error
         self.check_fits()
         recording = Recorder(self.chain, self.state, self.root, nodes, steps, every)
+        self.subtract_entrance(recording.signals[:1], nodes, self.state.d[self.root - 1 : self.root])
         self.set_targets(feed_speed, air_supply_rate)
         first, done = self.steps_done, 0
         with progress_bar(progress, self.time, steps * self.time_step) as report:
@@ -350,6 +374,15 @@ class Simulator:
                 done += count
                 report(self.time)
         return recording.to_run(first, self.time_step, points)
+
+    def subtract_entrance(self, samples: FloatArray, points: npt.NDArray[np.int64], ahead: FloatArray) -> None:
+        """Reduce the root tension in samples (k, p, 4) of p points by the force of the entrance, if it is simulated.
+
+        ``ahead`` (k, 3) is the displacement of the last free node.
+        """
+        if self.scene.terms.entrance:
+            for column in np.flatnonzero(points == ROOT):
+                samples[:, column, 3] -= entrance_force(self.chain, ahead, samples[:, column, :3])
 
     def set_diverged(self) -> None:
         """Store the error of a state that has diverged, with the node that is furthest out."""

@@ -75,6 +75,20 @@ def test_unstable_step_is_refused_with_a_stable_one(context, how, method):
         assert not env.step(np.zeros(2, dtype=np.float32))[-1]["diverged"]
 
 
+@pytest.mark.parametrize("terms", [{}, {"shortening": True}])
+def test_starts_that_superelements_do_not_survive_are_refused(terms):
+    """T dt / (rho p) = 1.2 m/s is below ``START_LIMIT``, but the couple of the study diverges within 0.15 s."""
+    probe = {"float_pitch": 0.15, "flexural_rigidity": 0.03, "guide_length": 2.55}
+    scene = Scene(probe=probe, air_supply_rate=130 / 3600, carrier_length=35.1, terms=terms)
+    refusal = pytest.raises(
+        ValueError, match=r"as it starts from rest: superelement32 needs a time step of at most 0.0001"
+    )
+    with nullcontext() if terms else refusal:
+        check_simulable(scene, STANDARD, scene.inserted_length, scene.air_supply_rate)
+    batch = SimulatorBatch([scene], STANDARD.method, STANDARD.time_step, perturbation=1e-7)
+    assert batch.advance(None, None, 0.2).diverged.any() == (not terms)
+
+
 def test_a_refused_reset_changes_nothing():
     env = gym.make_vec("probe_env/Snapshot-v1", 2, vectorization_mode="vector_entry_point")
     runs = []

@@ -39,7 +39,7 @@ def random_state(rng, nodes):
 
 
 def assert_equals_dense(chain, scheme, state, bound):
-    h_a = scheme.a_d * state.d + scheme.a_v * state.v + scheme.a_a * state.memory
+    h_a = scheme.a_d * state.d + scheme.a_v * state.v + scheme.a_a * state.memory[:, :3]
     h_v = scheme.v_d * state.d + scheme.v_v * state.v + scheme.v_a * state.memory
     h_v[-1] = -scheme.B_v * state.d[-1]  # at rest
     d, axial = dense_step(chain, scheme.B_a, scheme.B_v, INPUTS, h_a, h_v, state.d, state.v, state.axial_force)

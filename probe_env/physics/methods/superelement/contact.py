@@ -57,15 +57,18 @@ class PeriodicRow:
             back @ matrix @ turned for matrix in (piece.mass, piece.stiffness, piece.couple)
         )
 
-    def min_mass(self, damping_time: float, time_step: float) -> float:
-        """Least effective mass [kg] for a radial kick of a float, that of M + theta dt tau K, over all phases."""
+    def min_mass(self, damping_time: float, time_step: float, force: tuple[float, ...] = (0.0, 1.0, 0.0)) -> float:
+        """Least effective mass [kg] for a kick of a float, that of M + theta dt tau K, over all phases.
+
+        ``force`` is x, y and moment per kick; default: radial.
+        """
         theta, tau = linear_weights(damping_time, time_step)
-        return float(1.0 / _radial(self.mass + theta * time_step * tau * self.stiffness).real.max())
+        return float(1.0 / _response(self.mass + theta * time_step * tau * self.stiffness, force).real.max())
 
     def compliance(self, omega: float, damping_time: float) -> complex:
         """Radial compliance of one float at an angular frequency [m/N]."""
         whole = -(omega**2) * self.mass + (1.0 + 1j * omega * damping_time) * self.stiffness
-        return complex(_radial(whole).mean())
+        return complex(_response(whole).mean())
 
     def stepped_compliance(self, omega: float, damping_time: float, time_step: float) -> complex:
         """Compliance of the time-discrete chain with a kick at the start of each step."""
@@ -74,14 +77,16 @@ class PeriodicRow:
         rate = (z - 1.0) / time_step
         A = self.mass + theta * time_step * tau * self.stiffness
         whole = rate**2 * A + (theta * (z - 1.0) + 1.0 + tau * rate) * self.stiffness
-        return complex(z * _radial(whole).mean())
+        return complex(z * _response(whole).mean())
 
 
-def _radial(matrices: npt.NDArray[np.complex128]) -> npt.NDArray[np.complex128]:
-    """(PHASES,) radial displacement of the float under a unit force."""
-    force = np.zeros((matrices.shape[-1], 1))
-    force[1] = 1.0
-    return np.asarray(np.linalg.solve(matrices, force)[:, 1, 0])
+def _response(
+    matrices: npt.NDArray[np.complex128], force: tuple[float, ...] = (0.0, 1.0, 0.0)
+) -> npt.NDArray[np.complex128]:
+    """(PHASES,) displacement of the float along a force (x, y, moment) under it."""
+    forces = np.zeros((matrices.shape[-1], 1))
+    forces[:3, 0] = force
+    return np.asarray(np.linalg.solve(matrices, forces)[:, :3, 0] @ np.array(force))
 
 
 def fitted_stiffness(whole: Pitch, reduced: Pitch, stiffness: float, damping_time: float, time_step: float) -> float:

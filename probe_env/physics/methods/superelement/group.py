@@ -14,15 +14,24 @@ from probe_env.arrays import FloatArray
 from probe_env.physics.methods import lane_group as layout
 from probe_env.physics.methods.factors import linear_weights
 from probe_env.physics.methods.imex import Imex, Imex32
-from probe_env.physics.methods.lane_group import LaneGroup, LaneMethod, lane_parameters
+from probe_env.physics.methods.lane_group import (
+    LaneGroup,
+    LaneMethod,
+    float_drags,
+    lane_parameters,
+    options_of,
+    own_drag,
+)
 from probe_env.physics.methods.method import KernelArguments, Method
 from probe_env.physics.methods.stability import TABLE_2_DAMPING
 from probe_env.physics.methods.superelement.kernel import (
+    HELD,
     MODES,
     PT,
     PX,
     VT,
     VX,
+    N,
     RootTables,
     T,
     V,
@@ -50,6 +59,7 @@ from probe_env.physics.methods.superelement.tables import (
     MAX_MODES,
     MIN_MODES,
     Tables,
+    held_stiffness,
     max_step,
     tables,
 )
@@ -58,9 +68,9 @@ from probe_env.physics.model.drive import APPEND
 from probe_env.physics.model.state import State, at_rest
 from probe_env.scene import Scene
 
-MOMENTUM = 3
-MEMORY = MOMENTUM + 4 * MAX_MODES
-"""Momentum, then q and p of the even and of the odd modes; only rows of floats are used."""
+MODAL = 5
+MEMORY = MODAL + 4 * MAX_MODES
+"""Momentum, N and held friction, then q and p of the even and of the odd modes; only rows of floats are used."""
 ROOMS = (MIN_MODES, (3, 3), (MAX_MODES, MAX_MODES))
 """Numbers of even and odd modes of the kernels."""
 
@@ -72,8 +82,8 @@ def room(table: Tables) -> tuple[int, int]:
 
 def mode_fields(table: Tables, even: int) -> list[tuple[int, int]]:
     """Column of the memory and field of q for each mode; p follows."""
-    evens = [(MOMENTUM + 2 * j, MODES + 2 * j) for j in range(table.even)]
-    return evens + [(MOMENTUM + 2 * (table.even + j), MODES + 2 * (even + j)) for j in range(table.odd)]
+    evens = [(MODAL + 2 * j, MODES + 2 * j) for j in range(table.even)]
+    return evens + [(MODAL + 2 * (table.even + j), MODES + 2 * (even + j)) for j in range(table.odd)]
 
 
 def pack(rows: FloatArray, state: State, root: int, per_pitch: int, table: Tables, even: int) -> None:
@@ -85,6 +95,7 @@ def pack(rows: FloatArray, state: State, root: int, per_pitch: int, table: Table
     rows[:count, V] = state.axial_force[floats]
     memory = state.memory[floats]
     rows[:count, PX : PT + 1] = memory[:, :3]
+    rows[:count, N], rows[:count, HELD] = memory[:, 3], memory[:, 4]
     for column, at in mode_fields(table, even):
         rows[:count, at : at + 2] = memory[:, column : column + 2]
 
@@ -95,8 +106,9 @@ def unpack(rows: FloatArray, state: State, root: int, per_pitch: int, table: Tab
     floats = slice(0, root, per_pitch)
     state.d[floats], state.v[floats] = rows[:count, X : T + 1], rows[:count, VX : VT + 1]
     state.axial_force[:root] = np.repeat(rows[:count, V], per_pitch)[:root]
+    state.memory[:root, 3] = np.repeat(rows[:count, N], per_pitch)[:root]
     memory = state.memory[floats]
-    memory[:, :3] = rows[:count, PX : PT + 1]
+    memory[:, :3], memory[:, 4] = rows[:count, PX : PT + 1], rows[:count, HELD]
     for column, at in mode_fields(table, even):
         memory[:, column : column + 2] = rows[:count, at : at + 2]
 
@@ -135,12 +147,10 @@ def floats_of(parameters: FloatArray, drag: FloatArray | None, table: Tables, co
     kinds = (
         (layout.GUIDE_LEVER, layout.CARRIER_LEVER),
         (layout.GUIDE_GAP, layout.CARRIER_GAP),
-        (layout.GUIDE_DRAG, layout.CARRIER_DRAG),
     )
-    for at, (near, far) in zip((LEVER, GAP, DRAG), kinds, strict=True):
+    for at, (near, far) in zip((LEVER, GAP), kinds, strict=True):
         rows[:, at] = np.where(guide, parameters[near], parameters[far])
-    if drag is not None:
-        rows[: len(drag), DRAG] = drag[:count]
+    rows[:, DRAG] = float_drags(parameters, drag, np.arange(count))
     rows[1:, BEHIND] = table.pieces[-1, HALF_MASS]
     return rows
 
@@ -217,12 +227,12 @@ class Superelement(LaneMethod):
             shape = table.shape[count - 1, 1:count].reshape(-1, ENDS + table.even + table.odd)
             rest = d[first + 1 : first + count].ravel() - shape[:, :ENDS] @ ends
             q = np.linalg.lstsq(shape[:, ENDS:], rest, rcond=None)[0]
-            state.memory[first, MOMENTUM : MOMENTUM + 2 * len(q) : 2] = q
+            state.memory[first, MODAL : MODAL + 2 * len(q) : 2] = q
             constants = table.pieces[-1] if first + count < root else table.pieces[count - 1]
             left, right = _elastic(constants, ends)
-            state.memory[first, :MOMENTUM] += tau * left
+            state.memory[first, :3] += tau * left
             if first + count < root:
-                state.memory[first + count, :MOMENTUM] += tau * right
+                state.memory[first + count, :3] += tau * right
         return state
 
     def constants(
@@ -232,8 +242,6 @@ class Superelement(LaneMethod):
         self.check_chain(chain, sensor, nodes_per_pitch)
         if chain.cable_stiffness > 0.0:
             raise ValueError(f"contact.cable = true: superelement has no nodes between floats; {INSTEAD}")
-        if chain.couple_turn > 0.0:
-            raise ValueError(f'couple = "tangent": superelement supports "frame" only; {INSTEAD}')
         table = tables(chain, nodes_per_pitch, time_step)
         values = lane_parameters(chain, sensor, nodes_per_pitch)
         values[[layout.GUIDE_DRAG, layout.CARRIER_DRAG]] *= chain.mass  # forces, not per mass
@@ -243,10 +251,9 @@ class Superelement(LaneMethod):
             table.max_tension,
         )
         values[layout.SENSOR] = sensor // nodes_per_pitch
-        drag = chain.drag[:-1:nodes_per_pitch]
-        first = int(values[layout.SENSOR]) + 1  # float of the carrier
-        equal = all(np.ptp(part) == 0.0 for part in (drag[:first], drag[first:]) if len(part))
-        return values, table, None if equal else drag
+        if chain.stiction:
+            values[layout.GRIP] = time_step * held_stiffness(chain, nodes_per_pitch, time_step)
+        return values, table, own_drag(chain, sensor, nodes_per_pitch)
 
     def with_drag(
         self,
@@ -260,8 +267,8 @@ class Superelement(LaneMethod):
         return constants[0], constants[1], chain.drag[:-1:nodes_per_pitch]
 
     def kind(self, constants: tuple[FloatArray, Tables, FloatArray | None]) -> Hashable:
-        """Numbers of modes of the kernel, and whether it has weight: other kernels round differently."""
-        return *room(constants[1]), bool(constants[0][layout.WEIGHT] > 0.0)
+        """Numbers of modes and options of the kernel: other kernels round differently."""
+        return *room(constants[1]), *map(bool, options_of(constants[0]))
 
     def run(
         self, lanes: Sequence[KernelArguments], time_step: float, per_pitch: int, first_sample: int, sample_every: int
@@ -284,9 +291,9 @@ class Superelement(LaneMethod):
         varied = any(lane.constants[2] is not None for lane in lanes)
         drags = np.zeros((rows if varied else 0, width), dtype=precision)
         for k, lane in enumerate(lanes if varied else ()):
-            values, table, drag = lane.constants
-            drags[:, k] = floats_of(values, drag, table, rows)[:, DRAG]
-        options = weighed(lanes[0]), (0,) * varied
+            drags[:, k] = float_drags(lane.constants[0], lane.constants[2], np.arange(rows))
+        weighed, shortened, sticking = options_of(lanes[0].constants[0])
+        options = weighed, (0,) * varied, shortened, sticking
         stacked = root_tables(members, group.parameters[layout.DAMPING], time_step, even, odd, last + 1)
         constants = np.zeros(((1 + width) * CONSTANTS, width), dtype=precision)
         factors = np.zeros(((last + 1 + width) * FACTORS, width), dtype=precision)
@@ -335,7 +342,7 @@ class Superelement(LaneMethod):
         floats = in_blocks(floats_of(values, drag, table, len(rows)), width, precision)
         begin = time.perf_counter()
         lane.failed, lane.root = self.single(
-            parameters, constants, factors, links, floats, ((0,) * even, (0,) * odd), weighed(lane), state,
+            parameters, constants, factors, links, floats, ((0,) * even, (0,) * odd), options_of(values), state,
             lane.inputs.astype(precision), lane.root, time_step, stacked,
             (first_sample, sample_every, lane.points[:, None], lane.samples[..., None], tension),
         )  # fmt: skip
@@ -364,11 +371,6 @@ class Superelement32(Superelement):
     def on_nodes_as(self) -> Method:
         """See ``Method.on_nodes_as``."""
         return Imex32()
-
-
-def weighed(lane: KernelArguments) -> tuple[int, ...]:
-    """Option of the kernels for the weight of a probe; see ``superelement_advance``."""
-    return (0,) * bool(lane.constants[0][layout.WEIGHT] > 0.0)
 
 
 def add_tension(lane: KernelArguments, tension: FloatArray, per_pitch: int) -> None:

@@ -22,13 +22,15 @@ from probe_env.physics.methods.factors import linear_weights
 from probe_env.physics.methods.imex import (
     float_at,
     float_forces,
+    held_forces,
     less_product,
     load_floats,
     load_wall,
     magnitude,
     sample_due,
+    weight_friction,
 )
-from probe_env.physics.methods.lane_group import CURVATURE, DAMPING, PEAK, ROOT, TENSION, WEIGHT
+from probe_env.physics.methods.lane_group import CURVATURE, DAMPING, GRIP, PEAK, ROOT, TENSION, WEIGHT
 from probe_env.physics.methods.lanes import (
     kernel,
     load,
@@ -36,7 +38,6 @@ from probe_env.physics.methods.lanes import (
     multiply_add,
     part,
     splat,
-    square_root,
     store,
     store3,
     traced,
@@ -46,9 +47,10 @@ from probe_env.physics.methods.superelement import tables as offset
 from probe_env.physics.model.drive import AIR, APPEND, INPUTS, SLOPE, SPEED
 from probe_env.physics.model.state import DIVERGED_RADIAL
 
-# fields of a row: displacement, momentum + tau K d, mean velocity, axial force; then q and p of each mode
-X, Y, T, PX, PY, PT, VX, VY, VT, V = range(10)
-MODES = 10
+# fields of a row: displacement, momentum + tau K d, mean velocity, axial force, N of the shortening, held friction;
+# then q and p of each mode
+X, Y, T, PX, PY, PT, VX, VY, VT, V, N, HELD = range(12)
+MODES = 12
 
 
 class RootTables(NamedTuple):
@@ -115,11 +117,12 @@ def grow(tables, state, fields, wide, root, lane):
         for c in range(len(old)):
             change[r] += matrix[r, c] * old[c]
     if length == per_pitch:
-        axial = state[q + V, k]
+        axial, pull = state[q + V, k], state[q + N, k]
         q, k = (i + 1) // wide * fields, lane + (i + 1) % wide
         for c in range(3):
             state[q + X + c, k], state[q + VX + c, k], state[q + PX + c, k] = 0.0, 0.0, 0.0
-        state[q + V, k] = axial
+        state[q + HELD, k] = 0.0
+        state[q + V, k], state[q + N, k] = axial, pull
     for c in range(3):
         state[q + PX + c, k] += change[3 + c] + tables.lag[lane] * change[c]
     for j in range(modes):
@@ -163,7 +166,7 @@ def sample(tables, state, fields, wide, root, lane, row, sampling):
     per_pitch = tables.pieces.shape[1] - 1
     outermost = (root - 1) // per_pitch
     for p in range(len(points)):
-        node = points[p, lane] if points[p, lane] >= 0 else root
+        node = points[p, lane] if points[p, lane] >= 0 else root + 1 + points[p, lane]
         i = min(node // per_pitch, outermost)
         q, k = i // wide * fields, lane + i % wide
         far, far_lane = (i + 1) // wide * fields, lane + (i + 1) % wide
@@ -177,9 +180,10 @@ def sample(tables, state, fields, wide, root, lane, row, sampling):
                 samples[row, p, c, lane] = displacement(
                     tables, state, fields, lane, length, node - i * per_pitch, c, q, k, far, far_lane
                 )
-        samples[row, p, 3, lane] = state[q + V, k]
+        samples[row, p, 3, lane] = state[q + V, k] + state[q + N, k]
     for i in range(min(len(tension), outermost + 1)):
-        tension[i, lane] += state[i // wide * fields + V, lane + i % wide]
+        q, k = i // wide * fields, lane + i % wide
+        tension[i, lane] += state[q + V, k] + state[q + N, k]
 
 
 @part
@@ -221,28 +225,39 @@ def ends_of(ex, ey, et, ox, oy, ot):
 
 
 @traced
-def push_modes(constants, c, count, state, q, ax, ay, at, push):
-    """Kick the modes of one parity by the couple; returns its force on the ends, and the terms of elimination there.
+def bend_modes(constants, c, count, state, q, ends):
+    """Force of the couple, per axial force, of the modes of one parity on the ends and on each mode; also their q.
 
-    ``push`` is -dt V, (ax, ay, at) are the unknowns of the ends; the returned forces must be multiplied by ``push``.
+    ``ends`` are the unknowns of the ends.
     """
-    zero = splat(push, 0.0)
-    hx = hy = ht = sx = sy = st = zero
+    ax, ay, at = ends
+    zero = splat(ax, 0.0)
+    hx = hy = ht = zero
+    forces, places = [], [load(state, q + 2 * j) for j in range(count)]
     for j in range(count):
-        m, r = c + j * offset.MODE, q + 2 * j
-        position = load(state, r)
+        m = c + j * offset.MODE
         gx, gy, gt = load3(constants, m + offset.COUPLE)
-        hx, hy, ht = hx + gx * position, hy + gy * position, ht + gt * position
+        hx, hy, ht = hx + gx * places[j], hy + gy * places[j], ht + gt * places[j]
         force = multiply_add(gx, ax, gy * ay) + gt * at
         for i in range(count):
-            force = force + load(constants, m + offset.TO_MODES + i) * load(state, q + 2 * i)
-        momentum = load(state, r + 1) + push * force
+            force = force + load(constants, m + offset.TO_MODES + i) * places[i]
+        forces.append(force)
+    return (hx, hy, ht), tuple(forces), tuple(places)
+
+
+@traced
+def kick_modes(constants, c, state, q, kicks, places):
+    """Kick the modes of one parity; returns the terms of elimination on the ends."""
+    sx = sy = st = splat(constants, 0.0)
+    for j, (kick, position) in enumerate(zip(kicks, places, strict=True)):
+        m, r = c + j * offset.MODE, q + 2 * j
+        momentum = load(state, r + 1) + kick
         store(state, r + 1, momentum)
         left = momentum - load(constants, m + offset.ELASTIC) * position
         sx = sx - load(constants, m + offset.CARRIED) * left
         sy = sy - load(constants, m + offset.CARRIED + 1) * left
         st = st - load(constants, m + offset.CARRIED + 2) * left
-    return hx, hy, ht, sx, sy, st
+    return sx, sy, st
 
 
 @traced
@@ -282,41 +297,38 @@ def dot(constants, c, x, y, t):
 
 
 @traced
-def weight_friction(float_, wall, weight, forward, y):
-    """Friction of a float beyond mu N, along the tube: mu (sqrt(N^2 + w^2) - N).
-
-    Its moment remains that of mu N, because the contact point moves out of the plane.
-    """
-    _, gap, _ = float_
-    stiffness, coefficient, _ = wall
-    zero = splat(y, 0.0)
-    beyond = y - gap
-    normal = stiffness * (where_less(y, zero, zero - y, zero) + where_less(zero, beyond, beyond, zero))
-    more = coefficient * (square_root(multiply_add(normal, normal, weight * weight)) - normal)
-    return where_less(forward, zero, zero - more, more)
-
-
-@traced
-def float_kick(constants, c, state, q, float_, wall, weighed, weight, curvature, behind, speed, slope, air, y):
+def float_kick(constants, c, state, q, float_, wall, options, friction, curvature, behind, speed, slope, air, y):
     """Contact, friction, drag and inertia of a float with half the cable on either side: x, y, moment.
 
-    ``behind`` is half the mass of the piece behind it; ``weighed`` is an empty tuple if weight is neglected. The order
-    of loads affects the rounding (fused multiply-add).
+    ``behind`` is half the mass of the piece behind it; ``options`` are two tuples: empty if weight is neglected, and if
+    friction does not hold at rest; ``friction`` is weight and grip. The order of loads affects the rounding (fused
+    multiply-add).
     """
     vx, vy = load(state, q + VX), load(state, q + VY)
     forward = speed + vx
-    cx, cy, ct = float_forces(float_, wall, forward, air, y, vx + speed, load(state, q + VT))
+    weighed, sticking = options
+    if len(sticking) > 0:
+        cx, cy, ct, held = held_forces(
+            float_, wall, weighed, friction, forward, air, y, forward, load(state, q + VT), load(state, q + HELD)
+        )
+        store(state, q + HELD, held)
+    else:
+        cx, cy, ct = float_forces(float_, wall, forward, air, y, vx + speed, load(state, q + VT))
     mass = behind + load(constants, c + offset.HALF_MASS)
     turn = mass * curvature * forward
     cx = cx - 2.0 * turn * vy - mass * slope
-    if len(weighed) > 0:
-        cx = cx - weight_friction(float_, wall, weight, forward, y)
+    if len(weighed) > 0 and len(sticking) == 0:
+        cx = cx - weight_friction(float_, wall, friction[0], forward, y)
     return cx, cy + turn * forward, ct
 
 
 @traced
-def piece_forces(constants, c, evens, odds, state, q, here, ahead, limit, dt):
+def piece_forces(constants, c, evens, odds, shortened, state, q, here, ahead, limit, dt):
     """Couple, modes and K d of a piece between two floats with given displacements.
+
+    With the shortening Q = z^T G z / 2 of a piece of length p, N = EA Q / p and the mean axial force V = a z, its
+    energy is z^T K z / 2 + V Q + EA Q^2 / (2 p) (see ``ticm.shorten``), so its forces are -(V + N) G z and -Q a.
+    ``shortened`` is an empty tuple if this is neglected; then N and Q a are zero.
 
     Returns:
         for this float: -dt V, force of the couple (to be multiplied by it), terms of the modes, K d; for the float
@@ -325,13 +337,37 @@ def piece_forces(constants, c, evens, odds, state, q, here, ahead, limit, dt):
     (x, y, t), (nx, ny, nt), even, odd = here, ahead, len(evens), len(odds)
     ax, ay, aa, bx, by, bt = even_odd(x, y, t, nx, ny, nt)
     # couple and modes
-    axial = load(state, q + V)
-    push = splat(x, 0.0) - dt * where_less(axial, limit, axial, limit)
-    gx, gy, gt, jx, jy, jt = push_modes(constants, c + offset.EVEN, even, state, q + MODES, ax, ay, aa, push)
-    mx, my, mt, ox, oy, ot = push_modes(constants, c + offset.ODD, odd, state, q + MODES + 2 * even, bx, by, bt, push)
+    even_row, odd_row = q + MODES, q + MODES + 2 * even
+    (gx, gy, gt), forces, places = bend_modes(constants, c + offset.EVEN, even, state, even_row, (ax, ay, aa))
+    (mx, my, mt), odd_forces, odd_places = bend_modes(constants, c + offset.ODD, odd, state, odd_row, (bx, by, bt))
     cex, cey, cet = symmetric(constants, c + offset.G_EVEN, ax, ay, aa)
     cox, coy, cot = symmetric(constants, c + offset.G_ODD, bx, by, bt)
     gx, gy, gt, mx, my, mt = gx + cex, gy + cey, gt + cet, mx + cox, my + coy, mt + cot
+    zero = splat(x, 0.0)
+    axial = load(state, q + V)
+    if len(shortened) > 0:
+        modal = zero
+        for force, place in zip(forces + odd_forces, places + odd_places, strict=True):
+            modal = modal + force * place
+        ends = multiply_add(ax, gx, ay * gy) + aa * gt
+        square = ends + (modal + (multiply_add(bx, mx, by * my) + bt * mt))
+        pull = load(constants, c + offset.STRETCH) * square
+        store(state, q + N, pull)
+        axial = axial + pull
+    push = zero - dt * where_less(axial, limit, axial, limit)
+    kicks, odd_kicks = [push * force for force in forces], [push * force for force in odd_forces]
+    if len(shortened) > 0:
+        shorten = (zero - 0.5 * dt) * square
+        kicks = [
+            multiply_add(shorten, load(constants, c + offset.EVEN + j * offset.MODE + offset.AXIAL), kick)
+            for j, kick in enumerate(kicks)
+        ]
+        cex, cey, cet = load3(constants, c + offset.AXIAL_EVEN)
+        gx, gy = multiply_add(shorten, cex, push * gx), multiply_add(shorten, cey, push * gy)
+        gt = multiply_add(shorten, cet, push * gt)
+        mx, my, mt, push = push * mx, push * my, push * mt, zero + 1.0
+    jx, jy, jt = kick_modes(constants, c + offset.EVEN, state, even_row, kicks, places)
+    ox, oy, ot = kick_modes(constants, c + offset.ODD, state, odd_row, odd_kicks, odd_places)
     gx, gy, gt, mx, my, mt = ends_of(gx, gy, gt, mx, my, mt)
     jx, jy, jt, ox, oy, ot = ends_of(jx, jy, jt, ox, oy, ot)
     # K d of the float: its share of this piece
@@ -413,19 +449,20 @@ def superelement_advance(
     of ``last`` + 1 rows, then of rows with a root; ``at[i]`` is the block of row i. A row is a float and the modes of
     the piece behind it. The lengths of the two tuples ``modes`` are the numbers of even and odd modes; numba compiles a
     kernel without loops for each length. Likewise ``options``, tuples that are empty or not: whether weight adds to
-    friction, and whether float i has the drag ``drags[i]`` (rows, lanes) instead of that of guide or carrier. ``tops``
+    friction, whether float i has the drag ``drags[i]`` (rows, lanes) instead of that of guide or carrier, whether
+    bending shortens the cable, and whether friction holds at rest. ``tops``
     and ``bottoms`` (steps,) are the last floats of the longest and of the shortest probe.
     """
     assign_roots(tables, constants, factors, at, last, roots)
     zero = splat(parameters, 0.0)
     evens, odds = modes
-    weighed, varied = options
+    weighed, varied, shortened, sticking = options
     even, odd = len(evens), len(odds)
     fields = MODES + 2 * (even + odd)
     theta, tau = linear_weights(load(parameters, DAMPING), dt)
     before, now, weight = tau - dt, tau, theta * dt  # p = (p* + before K d_before) - now K d
     curvature, limit = load(parameters, CURVATURE), load(parameters, TENSION)
-    float_weight = load(parameters, WEIGHT)
+    friction = load(parameters, WEIGHT), load(parameters, GRIP)
     floats, wall = load_floats(parameters), load_wall(parameters)
     pitch_half = load(constants, offset.HALF_MASS)
     for step in range(len(tops)):
@@ -444,12 +481,13 @@ def superelement_advance(
             if len(varied) > 0:
                 float_ = float_[0], float_[1], load(drags, i)
             kick = float_kick(
-                constants, c, state, q, float_, wall, weighed, float_weight, curvature, mass, speed, slope, air, here[1]
-            )
+                constants, c, state, q, float_, wall, (weighed, sticking), friction, curvature, mass, speed, slope, air,
+                here[1],
+            )  # fmt: skip
             height = magnitude(here[1])
             peak = where_less(peak, height, height, peak)
             mass = pitch_half
-            done, carried = piece_forces(constants, c, evens, odds, state, q, here, ahead, limit, dt)
+            done, carried = piece_forces(constants, c, evens, odds, shortened, state, q, here, ahead, limit, dt)
             rx, ry, rt = momentum_kick(state, q, kick, done, behind, dt, before, now, weight)
             rx, ry, rt = symmetric(factors, f, rx, ry, rt)
             ux, uy, ut = less_product((rx, ry, rt), factors, f + 9, (ux, uy, ut))

@@ -151,6 +151,7 @@ def _mesh(chain: Chain) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]
     node[2, 0] = -chain.frame_inertia
     mass, stiffness, couple = np.zeros((3, 3 * n + 3, 3 * n + 3))
     axial = np.zeros((n, 3 * n + 3))
+    angle = np.array([chain.couple_turn, 0.0, 1.0])  # of the couple: theta, or theta + x / r
     cosine, sine = chain.cos_phi / chain.axial_compliance, chain.sin_phi / chain.axial_compliance
     for i in range(n):
         of_element = slice(3 * i, 3 * i + 6)
@@ -158,5 +159,5 @@ def _mesh(chain: Chain) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]
         axial[i, of_element] = cosine, sine, 0.0, -cosine, sine, 0.0
         for k in (3 * i, 3 * i + 3):
             mass[k : k + 3, k : k + 3] += 0.5 * node
-            couple[k + 2, k + 2] += 0.5 * chain.couple_length
+            couple[k : k + 3, k : k + 3] += 0.5 * chain.couple_length * np.outer(angle, angle)
     return mass, stiffness, couple, axial

@@ -9,7 +9,7 @@ Field f of float i is in row (i // lanes) fields + f of the state, lane i % lane
 
 from probe_env.physics.methods.factors import linear_weights
 from probe_env.physics.methods.imex import load_wall, magnitude, sample_due
-from probe_env.physics.methods.lane_group import CURVATURE, DAMPING, PEAK, TENSION, WEIGHT
+from probe_env.physics.methods.lane_group import CURVATURE, DAMPING, GRIP, PEAK, TENSION, WEIGHT
 from probe_env.physics.methods.lanes import (
     PART,
     compiled,
@@ -102,18 +102,18 @@ def link(a, b, c, links, row, x, y, t):
 
 @kernel
 def superelement_advance_single(
-    parameters, constants, factors, links, floats, modes, weighed, state, inputs, root, dt, tables, sampling
+    parameters, constants, factors, links, floats, modes, options, state, inputs, root, dt, tables, sampling
 ):
     """Advance one probe that is held at ``root``; see ``kernel.superelement_advance``.
 
     Args:
-        parameters: (25, lanes) of the probe, equal in all lanes.
+        parameters: (28, lanes) of the probe, equal in all lanes.
         constants: (2 CONSTANTS, lanes) of a pitch, and of the block with the root.
         factors: ((blocks + 1) E_SIZE, lanes) E of the floats; further floats use the last block but one; last: root.
         links: (2, k + 1, 9) F and U of the floats; further floats use the last row but one; last: root.
         floats: (blocks FLOATS, lanes).
         modes: two tuples with the lengths of the numbers of even and odd modes.
-        weighed: a tuple, empty if weight is neglected.
+        options: of ``kernel.superelement_advance`` without the second.
         state: (blocks fields, lanes), with a block at rest after the last one.
         inputs: (steps, 4), see model/drive.py.
         root: node that is held.
@@ -133,7 +133,8 @@ def superelement_advance_single(
     theta, tau = linear_weights(load(parameters, DAMPING), dt)
     before, now, weight = tau - dt, tau, theta * dt  # p = (p* + before K d_before) - now K d
     curvature, limit = load(parameters, CURVATURE), load(parameters, TENSION)
-    float_weight = load(parameters, WEIGHT)
+    weighed, shortened, sticking = options
+    friction = load(parameters, WEIGHT), load(parameters, GRIP)
     wall = load_wall(parameters)
     held = len(to_root) - 1
     assign_root(tables, constants, factors, links, root)
@@ -153,11 +154,12 @@ def superelement_advance_single(
             float_ = load(floats, b * FLOATS + LEVER), load(floats, b * FLOATS + GAP), load(floats, b * FLOATS + DRAG)
             half = load(floats, b * FLOATS + BEHIND)
             kick = float_kick(
-                constants, c, state, q, float_, wall, weighed, float_weight, curvature, half, speed, slope, air, here[1]
-            )
+                constants, c, state, q, float_, wall, (weighed, sticking), friction, curvature, half, speed, slope, air,
+                here[1],
+            )  # fmt: skip
             height = magnitude(here[1])
             peak = where_less(peak, height, height, peak)
-            done, carried = piece_forces(constants, c, evens, odds, state, q, here, ahead, limit, dt)
+            done, carried = piece_forces(constants, c, evens, odds, shortened, state, q, here, ahead, limit, dt)
             nearer = all_from_behind(behind, carried)
             rx, ry, rt = momentum_kick(state, q, kick, done, nearer, dt, before, now, weight)
             rx, ry, rt = symmetric(factors, f, rx, ry, rt)

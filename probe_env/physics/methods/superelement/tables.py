@@ -22,6 +22,9 @@ from probe_env.physics.methods.superelement.contact import (
 from probe_env.physics.methods.superelement.pitch import ENDS, Pitch, condensed, halves, refined
 from probe_env.physics.model.chain import Chain, cable_of, linear_part
 
+HOLD = 0.25
+"""Of m / dt^2, the stiffness with which friction holds. By the spectral radius of a step, over all phases, floats that
+are all stuck are unstable from 0.69 (EI 0.25 N m2, 2e-4 s) to 3 (table 2, 5e-5 s) on."""
 ELEMENTS = 16
 """Elements of the fine mesh per pitch."""
 REACH = 1.8
@@ -29,9 +32,9 @@ REACH = 1.8
 MIN_MODES, MAX_MODES = (2, 1), 5
 """Least numbers of even and odd modes, and largest number of either kind."""
 
-# constants of a piece: blocks of its ends' unknowns, axial force and mass, then its modes
-K_EVEN, K_ODD, G_EVEN, G_ODD, AXIAL_EVEN, AXIAL_ODD, HALF_MASS = 0, 9, 15, 24, 33, 36, 39
-EVEN = 40
+# constants of a piece: blocks of its ends' unknowns, axial force, mass and EA / 2 over its length, then its modes
+K_EVEN, K_ODD, G_EVEN, G_ODD, AXIAL_EVEN, AXIAL_ODD, HALF_MASS, STRETCH = 0, 9, 15, 24, 33, 36, 39, 40
+EVEN = 41
 # of a mode: theta dt times its stiffness, dt times it, mass to the L end, couple with the L end and with the modes of
 # its parity, axial force
 ELASTIC, FORCE, CARRIED, COUPLE, AXIAL, TO_MODES = 0, 1, 2, 5, 8, 9
@@ -136,9 +139,12 @@ def _tables(linear: tuple[float, ...], stiffness: float, per_pitch: int, time_st
         pieces, 0.5 * np.diag([fine.mass, fine.mass, fine.inertia]), theta * time_step * tau
     )
     at_root = [_constants(piece, even, piece.root_tension, time_step, theta, tau) for piece in pieces]
-    inner = _mirrored(_constants(pieces[-1], even, pieces[-1].tension, time_step, theta, tau))
+    means = [_mirrored(_constants(piece, even, piece.tension, time_step, theta, tau)) for piece in pieces]
+    rows = np.array([*(means if chain.span else at_root), means[-1]])  # bending shortens a piece by its mean force
+    counts = np.array([*range(1, per_pitch + 1), per_pitch])
+    rows[:, STRETCH] = 0.5 / (chain.axial_compliance * counts)
     return Tables(
-        even, odd, np.array([*at_root, inner]),
+        even, odd, rows,
         factors, root_factors,
         np.array([_growth(chain, pieces, k, per_pitch, elements) for k in range(per_pitch)]),
         np.array([_shape(piece, per_pitch, elements) for piece in pieces]),
@@ -147,6 +153,25 @@ def _tables(linear: tuple[float, ...], stiffness: float, per_pitch: int, time_st
             _chosen(whole, MAX_MODES, MAX_MODES, 0.0), pieces[-1], stiffness, chain.damping_time, time_step
         ),
     )  # fmt: skip
+
+
+def held_stiffness(chain: Chain, nodes_per_pitch: int, time_step: float) -> float:
+    """Stiffness [N/m] with which friction holds a float: that of its contact, or ``HOLD`` of m / dt^2 if this is less.
+
+    m belongs to the point of contact and the cable that moves with it along the tube and turns.
+    """
+    stiffness, lever = float(chain.contact_stiffness.max()), float(chain.lever[:-1].max())
+    mass = _contact_mass(linear_part(chain), stiffness, nodes_per_pitch, time_step, lever)
+    return min(stiffness, HOLD * mass / time_step**2)
+
+
+@lru_cache(maxsize=1024)
+def _contact_mass(linear: tuple[float, ...], stiffness: float, per_pitch: int, time_step: float, lever: float) -> float:
+    """Least effective mass of a point of contact along the tube [kg]."""
+    chain = cable_of(linear)
+    whole = _piece(linear, per_pitch, ELEMENTS, per_pitch)
+    row = PeriodicRow(_chosen(whole, *_modes(whole, chain, stiffness, per_pitch, ELEMENTS), 0.0))
+    return row.min_mass(chain.damping_time, time_step, (1.0, 0.0, lever))
 
 
 @lru_cache(maxsize=64)

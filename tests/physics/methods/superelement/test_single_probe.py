@@ -39,9 +39,14 @@ def run_single_and_grouped(scene, method, time_step, steps, **options):
 @pytest.mark.processor
 @pytest.mark.parametrize(("method", "stiffness"), ROOMS)
 @pytest.mark.parametrize("length", LENGTHS)
-def test_single_equals_grouped(method, length, stiffness):
+@pytest.mark.parametrize("terms", [False, True])
+def test_single_equals_grouped(method, length, stiffness, terms):
     """Held, and fed in over floats and blocks of them: state, samples at and between floats, sums of tension."""
-    scene = Scene(carrier_length=length, feed_speed=0.4, probe={"guide_length": 0.5}, contact={"stiffness": stiffness})
+    scene = Scene(
+        carrier_length=length, feed_speed=0.4, probe={"guide_length": 0.5},
+        contact={"stiffness": stiffness, "weight": terms}, terms={"shortening": terms, "stiction": terms},
+        couple="tangent" if terms else "frame",
+    )  # fmt: skip
     for options in ({}, {"growing": True, "time_lapse": 80.0}):
         alone, beside = run_single_and_grouped(scene, method, 5e-5, 1500, **options)
         assert alone[0] == beside[0] == 0
