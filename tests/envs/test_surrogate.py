@@ -171,7 +171,7 @@ def test_a_plant_uses_the_map_next_to_its_file():
     env.reset(seed=0)
     info = env.step(env.action_space.sample())[4]
     # the map is of the noise in a flaw's band; both are roots of the same mean, and differ by rounding alone
-    assert info["noise_rms_m"] == pytest.approx(info["radial_rms_m"], rel=1e-14)
+    assert info["noise_rms_m"] == pytest.approx(info["radial_rms_m"], rel=1e-14, abs=0.0)
 
 
 def test_policies_keep_their_order():
