@@ -11,6 +11,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
+import openpyxl
 import pytest
 from bokeh.core.validation import check_integrity
 from bokeh.document import Document
@@ -216,6 +217,16 @@ def test_a_log_and_a_schedule_are_read_in_another_process(page, tmp_path, monkey
     read(screen.log, "rig.csv")
     assert screen.lines.data["name"] == ["constant", "log"]
     assert screen.lines.data["length"][1] == pytest.approx([5.0, 5.2, 5.4])
+    assert "The column 'time' has no unit and is read as seconds." in unescape(screen.problem.text)
+    book = openpyxl.Workbook()
+    book.create_sheet("Messung").append(["time [s]", "length [m]", "air [m3/h]"])
+    for row in ((0, 5.0, 63), (1, 5.1, 63), (2, 5.2, 63)):
+        book["Messung"].append(row)
+    book.save(tmp_path / "rig.xlsx")
+    read(screen.log, "rig.xlsx#Messung")
+    assert screen.lines.data["length"][1] == pytest.approx([5.0, 5.1, 5.2])
+    read(screen.log, "rig.xlsx#Messwerte")
+    assert "no sheet 'Messwerte'; there are 'Sheet', 'Messung'" in unescape(screen.problem.text)
     read(screen.open, "mine.csv")
     assert page.session.points == {"inserted_length_m": [5.0, 25.0], FEED: [0.2, 0.15], AIR: [63.0, 100.0]}
     assert page.session.name == "mine"

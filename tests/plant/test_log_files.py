@@ -571,7 +571,7 @@ def test_passes_of_a_log(tmp_path):
         log = read(path, passage=passage)
         assert log.inserted_length == pytest.approx(lengths, abs=1e-3)
         assert log.time == pytest.approx(range(len(lengths)))
-        assert f"Read is pass {2 if passage == 'out' else passage}" in log.notes[0]
+        assert f"Pass {2 if passage == 'out' else passage} of 3 is read" in log.notes[0]
     path.write_text("time [s];speed [m/s];air [m3/h]\n" + "".join(f"{t};{-0.2};63\n" for t in range(20)))
     with pytest.raises(FileError, match=r"negative throughout: is its sign reversed .*or is it a withdrawal"):
         read(path)
@@ -596,6 +596,11 @@ def test_options_that_do_not_fit(tmp_path):
     plan = tmp_path / "plan.csv"
     plan.write_text("time_s,inserted_length_m,feed_speed_m_per_s,air_supply_m3_per_h\n0,5,0.2,63\n100,5.02,0.2,63\n")
     with pytest.raises(FileError, match=r"inserted_length_m rises by 0.02 m, and speed times time is 20 m: is the"):
+        read_schedule(plan)
+    plan.write_text("length [m];feed [mm/s];air [m3/h]\n5;-300;63\n60;-200;63")
+    with pytest.raises(
+        FileError, match=r"line 2, column 'feed \[mm/s\]': the feed is negative throughout: is its sign"
+    ):
         read_schedule(plan)
     plan.write_text("from [m];to [m];feed [m/s];air [m3/h]\n5;25;0.3;63\n26;60;0.2;63")
     with pytest.raises(

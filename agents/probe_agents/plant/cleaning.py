@@ -21,7 +21,7 @@ DIGITS: Final = 6
 USUAL_SPACING: Final = 2.5
 """Shortest gap in time, in units of the median time step."""
 AGREEMENT: Final = 0.05, 0.02
-"""Accepted difference of the integrated speed from the encoder [m], and as a share of the length."""
+"""Accepted difference of the integrated speed from the encoder [m], and as a fraction of the length."""
 STANDSTILL: Final = 2e-3
 """Speed below which the probe is at a standstill [m/s]: a tenth of the slowest feed of the task."""
 DWELL: Final = 1.0
@@ -35,9 +35,9 @@ COARSE: Final = 10
 STANDS: Final = 5.0
 """Time between two steps, in units of the usual one, from which the probe stands in between."""
 STUCK: Final = 0.1
-"""Share of a log in which a measured channel that does not change by a digit is told."""
+"""Fraction of a log in which a measured channel must not change by a digit to be reported as a fault."""
 STUCK_ROWS: Final = 20
-"""Fewest rows of that."""
+"""Minimum number of rows of such a time."""
 SHORTEST: Final = 1.0
 """Duration of the shortest log [s]; less has another unit of time."""
 ROUNDS: Final = 12
@@ -190,10 +190,10 @@ def _length(
         return encoder, True
     # the encoder tells the length where it moves; between, speed or average
     if fed is not None:
-        nodes, how = moves + 1, "by the speed column"
+        nodes, how = moves + 1, "that of the speed column"
         length = fed + np.interp(time, time[nodes], (encoder - fed)[nodes])
     else:
-        how, times = f"the average over {COARSE} steps", time[moves + 1]
+        how, times = f"the mean over {COARSE} steps", time[moves + 1]
         usual = float(np.median(np.diff(times)))
         rests = np.flatnonzero(np.diff(times) > max(DWELL, STANDS * usual))  # ends a usual step before the next move
         ends = np.searchsorted(time, times[rests + 1] - usual)
@@ -203,7 +203,7 @@ def _length(
         end = encoder[last] + min(step, slope * (time[-1] - time[last]))
         length = np.interp(time, [*time[nodes], time[-1]], [*encoder[nodes], end])
     notes.append(
-        f"The encoder's steps of {step:.3g} m are coarse for rows {np.median(steps):.3g} s apart: feed is {how}."
+        f"The encoder's steps of {step:.3g} m are coarse for rows {np.median(steps):.3g} s apart: the feed is {how}."
     )
     return np.maximum.accumulate(length), True
 
@@ -244,7 +244,7 @@ def _one_pass(
     begin, end, inward = passes[found[0] - 1]
     if len(passes) > 1 or not inward:
         how = ", from its end" * (not inward)
-        notes.append(f"Read is pass {found[0]}{how}, of {len(passes)}: {'; '.join(texts)}.")
+        notes.append(f"Pass {found[0]} of {len(passes)} is read{how}: {'; '.join(texts)}.")
     part = slice(begin, end)
     time, values, rows = time[part] - time[begin], {name: v[part] for name, v in values.items()}, rows[part]
     if inward:
@@ -258,14 +258,13 @@ def _passes(length: FloatArray) -> list[tuple[int, int, bool]]:
     turned_back = np.maximum.accumulate(length) - length
     if turned_back.max() < TURN:
         return [(0, len(length), True)]
-    turns, begin, extreme, inward = list[tuple[int, int, bool]](), 0, 0, True
-    low = high = 0
+    turns, begin, low, high, inward = list[tuple[int, int, bool]](), 0, 0, 0, True
     for k, x in enumerate(length.tolist()):
         low, high = (k if x <= length[low] else low), (k if x >= length[high] else high)
         back = length[high] - x if inward else x - length[low]
         if back >= TURN:
             extreme = high if inward else low
-            if length[extreme] - length[begin] >= TURN if inward else length[begin] - length[extreme] >= TURN:
+            if abs(length[extreme] - length[begin]) >= TURN:  # else the log begins with the other direction
                 turns.append((begin, extreme + 1, inward))
                 begin = extreme
             inward, low, high = not inward, k, k

@@ -74,7 +74,7 @@ GOOD: Final = 192.0
 """Codes of OPC from here on are of good values; below, and from ``UNCERTAIN`` on, of uncertain ones."""
 UNCERTAIN: Final = 64.0
 MESSAGES: Final = 0.05
-"""Share of the rows which may be messages of the logger."""
+"""Fraction of the rows which may be messages of the logger."""
 _DIGITS: Final = r"^[+-]?\d+(?:[.,]\d+)?$"
 _WITH_UNIT: Final = re.compile(
     r"[+-]?\d(?:[\d.,' ]*[\d.,'])?(?:[eE][+-]?\d+)?\s*([A-Za-zµμ%°][A-Za-zµμ]*[23²³]?(?:/[A-Za-z]+[23²³]?)?)"
@@ -180,6 +180,8 @@ def _schedule_rows(path: Path, sheet: str | None) -> tuple[str, Sequence[Row]]:
             if table.row_word == "row":
                 problem = "no value, or a formula without a stored value: open the workbook in Excel and save it"
             raise table.error(int(empty.argmax()), problem, indices[name])
+        if name == "feed_speed" and (column < 0.0).all():
+            raise table.error(0, "the feed is negative throughout: is its sign reversed?", indices[name])
         values[name] = (column - (column[0] if name == "time" else 0.0)) / QUANTITIES[name].scale
     columns = {QUANTITIES[name].column: [float(f"{v:.12g}") for v in column] for name, column in values.items()}
     rows = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
