@@ -180,8 +180,6 @@ def _schedule_rows(path: Path, sheet: str | None) -> tuple[str, Sequence[Row]]:
             if table.row_word == "row":
                 problem = "no value, or a formula without a stored value: open the workbook in Excel and save it"
             raise table.error(int(empty.argmax()), problem, indices[name])
-        if name == "feed_speed" and (column < 0.0).all():
-            raise table.error(0, "the feed is negative throughout: is its sign reversed?", indices[name])
         values[name] = (column - (column[0] if name == "time" else 0.0)) / QUANTITIES[name].scale
     columns = {QUANTITIES[name].column: [float(f"{v:.12g}") for v in column] for name, column in values.items()}
     rows = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
