@@ -171,6 +171,17 @@ class Scene(Model):
             )
         return self
 
+    def whole(self) -> Self:
+        """The scene with all that the study leaves out: weight, expanding air, ``terms``, couple from the tangent."""
+        return self.model_copy(
+            update={
+                "contact": {"weight": True},
+                "air": {"compressible": True},
+                "couple": "tangent",
+                "terms": dict.fromkeys(Terms.model_fields, True),
+            }
+        )
+
     @classmethod
     def fitted(cls, values: Mapping[str, Any]) -> Self:
         """A scene from values that differ from table 2; the default carrier is shortened to fit the helix."""

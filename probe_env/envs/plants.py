@@ -304,6 +304,8 @@ OF_FEED, OF_AIR = ("feed_speeds", "feed_speed_step", "ramp"), ("air_supply_rates
 class Plant(Model):
     """Tubes, probe and task of a plant; defaults are table 2's and the task's."""
 
+    assumptions: Literal["study", "whole"] = "study"
+    """Model of the simulation: that of the study, or all that it leaves out, too (``Scene.whole``)."""
     tube: Tubes = Tubes()
     probe: Probe = Probe()
     contact: Walls = Walls()
@@ -394,7 +396,8 @@ class Plant(Model):
             },
             "air": {"density": self.air.density, "drag_coefficient": self._middle("drag_coefficient")},
         }
-        return tuple(Scene.fitted({"tube": tube | {"helix_diameter": diameter}, **rest}) for diameter in self.diameters)
+        scenes = (Scene.fitted({"tube": tube | {"helix_diameter": diameter}, **rest}) for diameter in self.diameters)
+        return tuple(scene.whole() if self.assumptions == "whole" else scene for scene in scenes)
 
     @cached_property
     def config(self) -> TaskConfig:

@@ -8,7 +8,7 @@ import pytest
 import tomli_w
 from pydantic import ValidationError
 
-from probe_env import Scene
+from probe_env import Plant, Scene, Terms
 from probe_env.physics.model.chain import build_chain
 
 SCENES = sorted((Path(__file__).parents[2] / "configs" / "scenes").glob("*.toml"))
@@ -25,6 +25,14 @@ def test_defaults_are_table_2():
     assert (chain.contact_stiffness > 0).sum() == 526  # every fourth node from the tip, tip and root included
     assert chain.contact_stiffness[0] == chain.contact_stiffness[100] == 1e5
     assert chain.contact_stiffness[1] == 0.0
+
+
+def test_the_whole_model_has_every_term_and_keeps_the_rest():
+    scene = Scene(carrier_length=10.0, contact={"friction": 0.2}, air={"density": 1.2})
+    changed = {"couple": "tangent", "contact": {"weight": True}, "air": {"compressible": True}}
+    changed["terms"] = dict.fromkeys(Terms.model_fields, True)
+    assert scene.whole() == scene.model_copy(update=changed)
+    assert Plant(assumptions="whole", contact={"friction": 0.2}).scene == Plant(contact={"friction": 0.2}).scene.whole()
 
 
 def test_guide_floats_reach_up_to_the_sensor():

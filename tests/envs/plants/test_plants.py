@@ -104,7 +104,7 @@ def test_contradicting_arguments_are_refused():
 
 
 BROKEN = {
-    "tubes: there is no such field; accepted: tube, probe, contact, air, feed, sensor, task": {"tubes": {}},
+    "tubes: there is no such field; accepted: assumptions, tube, probe, contact": {"tubes": {}},
     "tube.helix_diameter: 0.1 m is outside the accepted": {"tube": {"helix_diameter": [0.1]}},
     "tube.helix_diameter.*at least 1": {"tube": {"helix_diameter": []}},
     "contact.friction.high: Field required": {"contact": {"friction": {"low": 0.1}}},
