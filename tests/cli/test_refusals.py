@@ -76,6 +76,8 @@ REFUSED = [
     ("study --no-list", "study --list"),
     ("study turning --trials 3", "trials = 3"),
     ("study response --trials 3", "trials = 3: this study"),
+    ("study turning --assumptions whole", "assumptions = 'whole': this study"),
+    ("study response --assumptions whole", "assumptions = whole: this study"),
     ("study stability --fidelity fast", "fidelity = fast"),
     ("study claims --trials 0", "trials = 0 is outside the accepted range 1 to 1000"),
     ("study best-round-trip --limit 97", "limit = 97 is outside the accepted range 1 to 96"),

@@ -1,5 +1,6 @@
 """The chart: closed forms, orders, intervals, stored rows that are run again, and resuming."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -81,6 +82,23 @@ def test_an_interrupted_chart_goes_on(tmp_path):
     assert table.groupby("time_step_s")["diverged"].all().to_dict() == {1e-3 / 7: False, 2.5e-4: False, 5e-4: True}
     filled(None)
     assert len(ran) == 3  # a seventh of a millisecond is no short decimal, and it is found again
+
+
+def test_errors_of_the_whole_model_are_those_of_its_own_runs(tmp_path, monkeypatch):
+    """The reference is one of the settings, so its ratio is one. The study's root tension is a quarter greater than that of `imex32`."""
+    monkeypatch.setattr(chart, "DURATION", 0.2)
+    monkeypatch.setattr(chart, "SETTLE", 0.2)
+    reference = replace(chart.converged(10.0, Setting.stiffness, 2), whole=True)
+    other = Setting("imex32", length=10.0, members=8, whole=True)
+    monkeypatch.setattr(chart, "WHOLE", (reference, other))
+    chart.run(tmp_path, "whole")
+    errors = pd.read_csv(tmp_path / "errors.csv").set_index("method")
+    assert errors.loc["imex", "tension_mean_n:ratio"] == 1.0
+    assert errors.loc["imex32", "tension_mean_n:ratio"] == pytest.approx(1.0, abs=0.05)
+    rows = pd.read_csv(tmp_path / "ensembles.csv").groupby("method")["tension_mean_n"].mean()
+    assert errors["tension_mean_n:reference"].to_numpy() == pytest.approx(rows["imex"], rel=1e-3)
+    scene = reference.batch(1).simulators[0].scene
+    assert scene == replace(reference, whole=False).batch(1).simulators[0].scene.whole()
 
 
 def test_an_insertion_is_a_row_a_stretch_and_member():

@@ -1,6 +1,7 @@
 """The study's claims on the stored ensemble, the return next to the insertion, and single runs of the cases."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -59,6 +60,24 @@ def test_withdrawals_differ_in_direction_only():
         assert fed.feed_speed > 0.0 < fed.air_supply_rate
         turned = {"feed_speed": -fed.feed_speed, "air_supply_rate": -fed.air_supply_rate, "couple": "tangent"}
         assert back.model_dump() == fed.model_dump() | turned
+
+
+def test_whole_cases_are_those_of_the_study_with_all_terms(tmp_path, monkeypatch):
+    for case in claims.WHOLE:
+        assert case.load_scene() == NAMED[case.name].load_scene().whole()
+        assert (case.method, case.time_step) == ("imex", 2e-4)
+    compared = {name for name in (case.name for case in CASES) if name.endswith(("wilson", "explicit", "implicit"))}
+    assert {case.name for case in claims.WHOLE}.isdisjoint(compared | {"l50-dt2e-4", "l50-dt5e-4"})
+    chosen = [case for case in claims.WHOLE if case.name in ("l10", "u100")]
+    monkeypatch.setattr(claims, "WHOLE", tuple(chosen))
+    monkeypatch.setattr(claims, "DURATION", 0.2)
+    claims.run(tmp_path, limit=1, assumptions="whole")
+    stored = stored_rows(tmp_path / "ensemble.csv").iloc[0]
+    row = run_case(chosen[0], 0, 0.2)
+    assert stored["case"] == "l10"
+    assert stored["root_tension_mean_n"] == pytest.approx(row["root_tension_mean_n"], rel=1e-5)  # six digits are stored
+    study = run_case(replace(chosen[0], whole=False), 0, 0.2)["root_tension_mean_n"]
+    assert abs(study / row["root_tension_mean_n"] - 1.0) > 1e-3
 
 
 @pytest.mark.parametrize("withdrawn", [False, True])

@@ -57,6 +57,22 @@ def test_a_run_of_the_study_stores_its_tables_and_figures(tmp_path, monkeypatch)
     assert (tmp_path / "map.png").stat().st_size > 10_000
 
 
+def test_the_whole_model_is_stable_up_to_the_limit(tmp_path, monkeypatch):
+    """The map alone; its limit is that of the study's model. `explicit` does not simulate the whole model."""
+    scenes = []
+    simulator = stability.Simulator
+    monkeypatch.setattr(stability, "Simulator", lambda scene, *rest: scenes.append(scene) or simulator(scene, *rest))
+    cells = [("imex", 1e6, 10.0, 0.05, ratio) for ratio in (1.0, 4.4)] + [("explicit", 1e6, 10.0, 0.05, 1.0)]
+    monkeypatch.setattr(stability, "cells", lambda: cells)
+    table = stability.run(tmp_path, "whole")
+    assert table["diverged_at_s"].notna().tolist() == [False, True]
+    assert table["method"].tolist() == ["imex", "imex"]
+    assert all(scene == scene.whole() for scene in scenes)
+    assert not (tmp_path / "energy.csv").exists()
+    step = METHODS["imex"].stable_step(scenes[0], 4)
+    assert table["time_step_s"].tolist() == pytest.approx([step, 4.4 * step], rel=1e-5)
+
+
 @pytest.mark.parametrize("spring", ["elastic", "contact"])
 def test_newmark_keeps_amplitude_and_wilson_damps(spring):
     """A step turns a mode by 2 atan(omega dt / 2).

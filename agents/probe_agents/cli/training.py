@@ -201,6 +201,8 @@ class Study:
     """Your plant (tube.toml); default: as in the study."""
     trials: Annotated[int | None, hide_default()] = None
     """Number of runs, schedules or laws of a built-in study, as --list says."""
+    assumptions: Annotated[Literal["study", "whole"] | None, hide_default()] = None
+    """Model of claims, chart and stability: the published study's, or the whole model. Default: the study's."""
     output: File = None
     """Folder; stored episodes are not run again. Default: output/NAME."""
     workers: Annotated[Workers, tyro.conf.arg(name="")] = field(default_factory=Workers)
@@ -223,7 +225,7 @@ class Study:
         if self.study in BUILT_IN and not Path(self.study).is_file():
             BUILT_IN[self.study].run(
                 output, self.workers, limit=self.limit, trials=self.trials, tube=self.tube, policies=self.policies,
-                fidelity=self.fidelity,
+                fidelity=self.fidelity, assumptions=self.assumptions,
             )  # fmt: skip
             return
         try:
@@ -239,8 +241,9 @@ class Study:
         from probe_agents.studies.spec import Study as Spec
         from probe_env.settings import errors_in
 
-        if self.trials is not None:
-            raise ValueError(f"trials = {self.trials!r}: this study has no such option")
+        for name in ("trials", "assumptions"):
+            if (value := getattr(self, name)) is not None:
+                raise ValueError(f"{name} = {value!r}: this study has no such option")
         spec = Spec.from_toml(path).changed(self.limit, self.policies, self.fidelity, self.tube)
         with errors_in(path):
             settings = expand(spec)

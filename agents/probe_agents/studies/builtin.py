@@ -58,10 +58,12 @@ class BuiltIn(NamedTuple):
 BUILT_IN: Final[dict[str, BuiltIn]] = {
     "claims": BuiltIn(
         "claims.run", "Which claims of the published study does the simulator confirm?",
-        {"limit": Count("cases"), "trials": Count("runs of each case", 1000)},
+        {"limit": Count("cases"), "trials": Count("runs of each case", 1000), "assumptions": None},
     ),
-    "chart": BuiltIn("chart.run", "How accurate is each method, and at which cost?"),
-    "stability": BuiltIn("stability.run", "Which time steps are stable, by method, stiffness and length?"),
+    "chart": BuiltIn("chart.run", "How accurate is each method, and at which cost?", {"assumptions": None}),
+    "stability": BuiltIn(
+        "stability.run", "Which time steps are stable, by method, stiffness and length?", {"assumptions": None}
+    ),
     "predictability": BuiltIn(
         "predictability.run", "How fast do perturbations grow, and how far ahead can a planner look?"
     ),

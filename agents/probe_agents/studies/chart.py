@@ -6,7 +6,7 @@ ratios of means to a reference with 95 % bootstrap intervals. All runs of a sett
 
 import time
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, astuple, dataclass, replace
 from itertools import cycle, product
 from pathlib import Path
@@ -54,9 +54,9 @@ class Run:
 
     @property
     def key(self) -> dict[str, Any]:
-        """All fields except the number of members, as columns."""
+        """All fields except the number of members and ``whole``, as columns."""
         fields = asdict(self)  # type: ignore[call-overload]
-        return {UNITS.get(name, name): value for name, value in fields.items() if name != "members"}
+        return {UNITS.get(name, name): value for name, value in fields.items() if name not in ("members", "whole")}
 
     @property
     def last(self) -> tuple[Any, ...]:
@@ -78,11 +78,14 @@ class Setting(Run):
     friction: float = 0.15
     walls: str = "both"
     members: int = 16
+    whole: bool = False
+    """Whether the scene has all that the study leaves out; stored in a folder of its own."""
 
     def batch(self, count: int, threads: int | None = None) -> SimulatorBatch:
         """``count`` runs with perturbed starts."""
         contact = {"stiffness": self.stiffness, "friction": self.friction, "walls": self.walls}
         scene = Scene.model_validate({"carrier_length": self.length, "contact": contact})
+        scene = scene.whole() if self.whole else scene
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", StabilityWarning)  # steps beyond the limit are tested on purpose
             numerics = self.method, self.time_step, self.nodes_per_pitch
@@ -189,6 +192,15 @@ def converged(length: float, stiffness: float, members: int = 8) -> Setting:
 
 
 SETTINGS = tuple(dict.fromkeys(_settings()))
+WHOLE = tuple(
+    replace(setting, length=length, whole=True)
+    for length in LENGTHS[1:]
+    for setting in (
+        *(converged(length, Setting.stiffness, 16), Setting("superelement", 5e-5), Setting("imex32", members=32)),
+        *(Setting("superelement32", members=64), Setting("implicit", MODEL_STEP, members=8)),
+    )
+)
+"""Settings with the whole model: the converged mesh, the presets and independent methods."""
 
 
 def _statistics(window: Window, member: int) -> dict[str, float]:
@@ -271,11 +283,10 @@ def study_members(ensemble: pd.DataFrame) -> pd.DataFrame:
     return pd.concat(parts, ignore_index=True)
 
 
-def constant_length(members: pd.DataFrame, costs: pd.DataFrame) -> pd.DataFrame:
+def constant_length(members: pd.DataFrame, outputs: Sequence[str] = OUTPUTS) -> pd.DataFrame:
     """Errors of mesh and step together, of every setting whose length and stiffness have a converged reference.
 
-    Columns: those of ``Setting``, members, diverged (share), cpu_s (for a simulated second), and for every output
-    reference, ratio, low, high.
+    Columns: those of ``Setting``, members, diverged (share), and for every output reference, ratio, low, high.
     """
     groups = dict(list(members.groupby(KEYS)))
     rows = []
@@ -285,9 +296,8 @@ def constant_length(members: pd.DataFrame, costs: pd.DataFrame) -> pd.DataFrame:
         base = groups.get(tuple(reference.key.values()))
         row: dict[str, Any] = setting | {"members": len(part), "diverged": float(part["diverged"].astype(bool).mean())}
         if base is not None:
-            rows.append(row | _compared(part, base))
-    table = pd.DataFrame(rows)
-    return table.assign(cpu_s=cpu_seconds(costs, table))
+            rows.append(row | _compared(part, base, outputs))
+    return pd.DataFrame(rows)
 
 
 def insertion(
@@ -327,10 +337,10 @@ def time_lapse(members: pd.DataFrame, costs: pd.DataFrame) -> pd.DataFrame:
     return table[table["time_lapse"] > 1.0].reset_index(drop=True)
 
 
-def _compared(part: pd.DataFrame, reference: pd.DataFrame) -> dict[str, float]:
+def _compared(part: pd.DataFrame, reference: pd.DataFrame, outputs: Sequence[str] = OUTPUTS) -> dict[str, float]:
     """For every output the mean of the reference, and ratio of means with interval."""
     row: dict[str, float] = {}
-    for output in OUTPUTS:
+    for output in outputs:
         values, base = (frame[output].to_numpy(dtype=float) for frame in (part, reference))
         row[f"{output}:reference"] = float(np.nanmean(base)) if np.isfinite(base).any() else float("nan")
         interval = astuple(ratio_interval(values, base))
@@ -416,13 +426,19 @@ PANELS = {"radial_rms_m": "radial rms", "radial_p99_m": "radial p99", "lift_off_
 PANELS["axial_peak_hz"] = "axial peak frequency"
 
 
-def run(output: Path, workers: Workers = HERE) -> None:
+def run(output: Path, assumptions: str = "study", workers: Workers = HERE) -> None:
     """Run what is not stored in the output folder, then the timing; writes tables and figures.
+
+    With ``assumptions="whole"`` the settings ``WHOLE`` alone, and the table of their errors.
 
     Raises:
         FileError: a stored file is damaged or of another commit; nothing was run.
     """
     ensembles = Store(output / "ensembles.csv", (*Setting().key, "member"))
+    if assumptions == "whole":
+        table = ensembles.fill({setting.last: setting for setting in WHOLE}, Setting.rows, "setting")
+        files = write_tables(output, {"errors": constant_length(table, ("radial_rms_m", PEAK, "tension_mean_n"))}, 4)
+        return write_manifest(output, ["ensembles.csv", *files], commits=table["commit"])
     insertions = Store(output / "insertions.csv", (*CONVERGED.key, "member", "from_m"))
     smooth = Store(output / "smooth.csv", SMOOTH_KEYS)
     ensembles.fill({setting.last: setting for setting in SETTINGS}, Setting.rows, "setting")
@@ -444,7 +460,8 @@ def draw_chart(output: Path) -> None:
         warnings.warn(f"{STUDY} has no runs of the slow methods: the chart lacks them", stacklevel=2)
     else:
         ensembles = pd.concat([ensembles, study_members(slow)], ignore_index=True)
-    constant, inserted = constant_length(ensembles, costs), insertion(insertions, costs)
+    constant, inserted = constant_length(ensembles), insertion(insertions, costs)
+    constant = constant.assign(cpu_s=cpu_seconds(costs, constant))  # of a simulated second
     tables = {
         "errors": constant,
         "insertion-errors": inserted,

@@ -63,12 +63,16 @@ ENERGY_STEPS: Final = {name: CHOSEN.get(name, (method.usual_step, 1.8 / OMEGA)) 
 DAMPING: Final = (0.0, 5e-5)  # [s]
 
 
-def run(output: Path, workers: Workers = HERE) -> pd.DataFrame:
-    """Run what is not stored of the map, one mass and passive chains; writes tables and map.png."""
-    runs = {cell: cell for cell in cells()}
-    table = Store(output / "map.csv", KEYS).fill(runs, lambda cell: [run_cell(*cell)], jobs=workers.jobs)
+def run(output: Path, assumptions: str = "study", workers: Workers = HERE) -> pd.DataFrame:
+    """Run what is not stored of the map, one mass and passive chains; writes tables and map.png.
+
+    With ``assumptions="whole"`` the map alone, of the whole model with the methods that simulate it.
+    """
+    whole = assumptions == "whole"
+    runs = {cell: cell for cell in cells() if METHODS[cell[0]].simulates_terms or not whole}
+    table = Store(output / "map.csv", KEYS).fill(runs, lambda cell: [run_cell(*cell, whole=whole)], jobs=workers.jobs)
     table = table.set_index(list(KEYS)).loc[list(runs)].reset_index()
-    tables = {"steps": by_step(table), "one_mass": run_one_mass(), "energy": run_energy()}
+    tables = {"steps": by_step(table)} | ({} if whole else {"one_mass": run_one_mass(), "energy": run_energy()})
     write_manifest(output, ["map.csv", *write_tables(output, tables, 5)], commits=table["commit"])
     draw_map(classify(table), output / "map.png")
     print_frame("Shares of the cells of a step (ratio to the stability limit)", tables["steps"])
@@ -90,7 +94,9 @@ def _scene_and_step(method: str, stiffness: float, length: float, friction: floa
     return scene, ratio * limit
 
 
-def run_cell(method: str, stiffness: float, length: float, friction: float, ratio: float) -> dict[str, Any]:
+def run_cell(
+    method: str, stiffness: float, length: float, friction: float, ratio: float, whole: bool = False
+) -> dict[str, Any]:
     """One run from rest: step, omega dt of a float on its contact spring, time of divergence (NaN: stable).
 
     bounce_damping is that of one mass; NaN for a superelement, or if it diverged.
@@ -99,7 +105,7 @@ def run_cell(method: str, stiffness: float, length: float, friction: float, rati
     steps = int(np.ceil(DURATION.get(method, 0.5) / time_step))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", StabilityWarning)  # steps beyond the limit are tested on purpose
-        simulator = Simulator(scene, method, time_step)
+        simulator = Simulator(scene.whole() if whole else scene, method, time_step)
     diverged = float("nan")
     try:
         simulator.run(steps * time_step, time_step * steps)
