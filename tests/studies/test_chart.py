@@ -85,7 +85,7 @@ def test_an_interrupted_chart_goes_on(tmp_path):
 
 
 def test_errors_of_the_whole_model_are_those_of_its_own_runs(tmp_path, monkeypatch):
-    """The reference is one of the settings, so its ratio is one. The study's root tension is a quarter greater than that of `imex32`."""
+    """The ratio of the reference is one. The root tension of the study's model is a quarter greater."""
     monkeypatch.setattr(chart, "DURATION", 0.2)
     monkeypatch.setattr(chart, "SETTLE", 0.2)
     reference = replace(chart.converged(10.0, Setting.stiffness, 2), whole=True)
