@@ -64,6 +64,10 @@ BUILT_IN: Final[dict[str, BuiltIn]] = {
     "stability": BuiltIn(
         "stability.run", "Which time steps are stable, by method, stiffness and length?", {"assumptions": None}
     ),
+    "effects": BuiltIn(
+        "effects.run", "What does each part of the whole model that the study leaves out change and cost?",
+        {"trials": Count("members of each setting", 1000)},
+    ),
     "predictability": BuiltIn(
         "predictability.run", "How fast do perturbations grow, and how far ahead can a planner look?"
     ),

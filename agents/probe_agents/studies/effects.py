@@ -1,0 +1,112 @@
+"""What each part of the whole model that the study leaves out changes and costs: alone, and left out of the whole."""
+
+import time
+from dataclasses import dataclass
+from itertools import product
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+
+from probe_agents.evaluation.workers import HERE, Workers
+from probe_agents.records.manifest import write_manifest
+from probe_agents.records.store import Store, write_tables
+from probe_agents.studies.builtin import print_frame
+from probe_agents.studies.chart import DURATION, SETTLE, Run
+from probe_agents.studies.claims import PERTURBATION
+from probe_env import Scene, SimulatorBatch
+from probe_env.fidelity import PRESETS
+from probe_env.physics.closed_forms import steady_root_tension
+
+PARTS: Final[dict[str, dict[str, Any]]] = {
+    "weight": {"contact": {"weight": True}},
+    "air": {"air": {"compressible": True}},
+    "shortening": {"terms": {"shortening": True}, "couple": "tangent"},
+    "stiction": {"terms": {"stiction": True}},
+    "entrance": {"terms": {"entrance": True}},
+}
+"""Changes of a scene of the study."""
+ALONE: Final = {"study": (), **{part: (part,) for part in PARTS}, "whole": tuple(PARTS)}
+MODELS: Final = ALONE | {f"whole without {part}": tuple(other for other in PARTS if other != part) for part in PARTS}
+"""Name of a model -> its parts."""
+FRICTIONS, AIRS = (0.1, 0.175, 0.25), (40.0, 63.0, 120.0)  # [-], [m3/h]
+LENGTHS: Final = (5.0, 7.5, 10.0, 12.5, 15.0, 20.0, 30.0, 40.0, 50.0)
+"""Carrier lengths [m]."""
+ONSET: Final = 2e-5
+"""Radial rms [m]."""
+
+
+@dataclass(frozen=True)
+class Effect(Run):
+    """Table 2's probe at constant length, at ``standard``."""
+
+    friction: float
+    length: float
+    """Carrier length [m]."""
+    model: str
+    members: int
+
+    def scene(self, air: float = 63.0) -> Scene:
+        """The scene at an air supply [m3/h]."""
+        contact, rate = {"friction": self.friction}, air / 3600.0
+        scene = Scene.model_validate({"carrier_length": self.length, "contact": contact, "air_supply_rate": rate})
+        for part in MODELS[self.model]:
+            scene = scene.model_copy(update=PARTS[part])
+        return scene
+
+    def rows(self) -> list[dict[str, Any]]:
+        """One row per member; ``cpu_s`` is the processor time of a simulated second."""
+        numerics, scenes = PRESETS["standard"].numerics, [self.scene()] * self.members
+        batch = SimulatorBatch(scenes, *numerics, threads=1, perturbation=PERTURBATION)
+        batch.advance(duration=SETTLE)
+        begin = time.process_time()
+        window = batch.advance(duration=DURATION)
+        cpu = (time.process_time() - begin) / DURATION / self.members
+        table = pd.DataFrame({name: window.statistics[name] for name in ("radial_rms_m", "tension_mean_n")})
+        table.loc[window.diverged] = np.nan
+        table = table.assign(diverged=window.diverged, cpu_s=cpu, **self.key)
+        return table.rename_axis("member").reset_index().to_dict("records")  # type: ignore[return-value]
+
+
+def run(output: Path, trials: int = 24, workers: Workers = HERE) -> pd.DataFrame:
+    """Run what is not stored, with ``trials`` members; writes members.csv, effects.csv, onset.csv, root-tension.csv."""
+    runs = [Effect(*key, members=trials) for key in product(FRICTIONS, LENGTHS, MODELS)]
+    store = Store(output / "members.csv", (*runs[0].key, "member"))
+    members = store.fill({effect.last: effect for effect in runs}, Effect.rows, "setting")
+    tables = {"effects": effects(members), "onset": onsets(members), "root-tension": root_tensions()}
+    write_manifest(output, ["members.csv", *write_tables(output, tables, 4)], commits=members["commit"], members=trials)
+    for name, table in tables.items():
+        print_frame(name, table, texts=0)
+    return tables["effects"]
+
+
+def effects(members: pd.DataFrame) -> pd.DataFrame:
+    """Means and standard errors over the members that did not diverge, and ratios to the study's model."""
+    names, keys = ["radial_rms_m", "tension_mean_n", "cpu_s"], ["friction", "carrier_length_m", "model"]
+    groups = members.groupby(keys, sort=False)
+    table = groups[names].mean().join(groups[names[:2]].sem().add_suffix(":error")).join(groups["diverged"].sum())
+    base = table.xs("study", level="model")[names]
+    return table.join((table[names] / base).add_suffix(":ratio")).reset_index()
+
+
+def onsets(members: pd.DataFrame) -> pd.DataFrame:
+    """Carrier length [m] at which the radial rms reaches ``ONSET``, by friction and model: mean and standard error.
+
+    The logarithm is interpolated between lengths. Members that stay below are not counted.
+    """
+    table = members.pivot_table("radial_rms_m", ["friction", "model", "member"], "carrier_length_m", sort=False)
+    rms = np.log(np.maximum.accumulate(table.to_numpy(), axis=1))
+    lengths = [np.interp(np.log(ONSET), row, table.columns, left=np.nan, right=np.nan) for row in rms]
+    groups = pd.Series(lengths, table.index).groupby(["friction", "model"], sort=False)
+    return groups.agg(onset_m="mean", error_m="sem", members="count").reset_index()
+
+
+def root_tensions() -> pd.DataFrame:
+    """Closed form of the root tension over that of the study's model, by air supply, friction and length."""
+    rows = []
+    for air, friction, length in product(AIRS, FRICTIONS, (0.5, *LENGTHS, 57.5)):
+        tensions = {model: steady_root_tension(Effect(friction, length, model, 1).scene(air)) for model in ALONE}
+        ratios = {model: tension / tensions["study"] for model, tension in tensions.items()}
+        rows.append({"air_m3_per_h": air, "friction": friction, "carrier_length_m": length} | ratios)
+    return pd.DataFrame(rows)
