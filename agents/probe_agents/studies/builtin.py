@@ -86,6 +86,9 @@ BUILT_IN: Final[dict[str, BuiltIn]] = {
     "response": BuiltIn(
         "response.run", "Makes the response model of calibrations.", {"limit": Count("groups of 32 insertions", 256)}
     ),
+    "surrogate-noise": BuiltIn(
+        "surrogate_noise.run", "Fits the noise of the surrogate.", {"limit": Count("groups of 16 insertions", 6)}
+    ),
     "plc-constants": BuiltIn(
         "searches.search_plc", "Searches the constants of the PLC laws.",
         {"limit": Count("training tubes", 96), "trials": Count("laws on the map")},

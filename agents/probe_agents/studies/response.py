@@ -75,7 +75,7 @@ def run(output: Path, limit: int = 15, workers: Workers = HERE) -> Response:
     """Simulate ``limit`` groups of 32 insertions (resumable) and fit; writes response.npz and response.json."""
     import_module("torch")  # fails before hours of simulation
 
-    parts = list(make_bank(limit, output))
+    parts = list(make_bank(limit, output, simulated, FIDELITY))
     bank = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     response, quality = fit_response(bank)
     target = output / "response.npz"
@@ -182,15 +182,17 @@ def simulated(group: int) -> dict[str, FloatArray]:
     }
 
 
-def make_bank(groups: int, output: Path) -> Iterator[dict[str, FloatArray]]:
+def make_bank(
+    groups: int, output: Path, simulate: Callable[[int], dict[str, FloatArray]], fidelity: str
+) -> Iterator[dict[str, FloatArray]]:
     """The groups; those that are not stored in ``output`` are simulated."""
-    files = [output / f"{FIDELITY}-{group:03d}.npz" for group in range(groups)]
+    files = [output / f"{fidelity}-{group:03d}.npz" for group in range(groups)]
     announce(Work("group", groups, lambda: sum(file.exists() for file in files), output))
     output.mkdir(parents=True, exist_ok=True)
     for group, file in enumerate(files):
         if not file.exists():
             buffer = io.BytesIO()
-            np.savez_compressed(buffer, **simulated(group))  # type: ignore[arg-type]
+            np.savez_compressed(buffer, **simulate(group))  # type: ignore[arg-type]
             write_atomically(file, buffer.getvalue())
         yield read_arrays(file, lambda _: "f")
 

@@ -5,9 +5,12 @@ their targets as in a simulation. Training takes minutes instead of hours; evalu
 """
 
 from collections.abc import Sequence
-from typing import Final, NamedTuple
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
 
 import numpy as np
+from pydantic import TypeAdapter
 
 from probe_env.arrays import BoolArray, FloatArray
 from probe_env.envs.contexts import Context
@@ -29,9 +32,11 @@ WAVES: Final = 32
 """Number of cosines of a random field."""
 DRIVE_STEP: Final = 5e-3
 """Time step of the feed and air dynamics [s]: the length error is 0.5 mm for a change of feed by 0.2 m/s."""
+STORED: Final = Path(__file__).parents[2] / "data" / "surrogate-noise.json"
 
 
-class Scatter(NamedTuple):
+@dataclass(frozen=True)
+class Scatter:
     """Stationary Gaussian AR(1) process: standard deviation, and correlation from one second to the next."""
 
     deviation: float = 0.0
@@ -42,7 +47,8 @@ class Scatter(NamedTuple):
         return np.asarray(self.correlation * value + self.deviation * np.sqrt(1.0 - self.correlation**2) * normal)
 
 
-class RandomField(NamedTuple):
+@dataclass(frozen=True)
+class RandomField:
     """What the map misses in a tube: a smooth random function of feed, air and length, Gaussian with these scales."""
 
     deviation: float = 0.0
@@ -62,7 +68,8 @@ class RandomField(NamedTuple):
         return np.asarray(self.deviation * np.sqrt(2.0 / WAVES) * cosines.sum(axis=1))
 
 
-class Noise(NamedTuple):
+@dataclass(frozen=True)
+class Noise:
     """Scatter of a second of insertion about the map, in decades."""
 
     bias: float = 0.0  # rms of a second relative to that of a metre, which the map predicts
@@ -76,20 +83,8 @@ class Noise(NamedTuple):
     axial_scatter: Scatter = Scatter()
 
 
-MEASURED: Final = Noise(
-    bias=-0.0682,
-    field=RandomField(deviation=0.123, feed=0.244, air=9.73 / 3600.0, length=8.7),
-    slow=Scatter(0.122, 0.850),
-    quick=0.144,
-    tension=Scatter(0.08186281974990066, 0.8967350009110485),
-    radial=(1.285, 0.7304, -0.1902, 0.02426, 0.0693, 0.02863),
-    radial_scatter=Scatter(0.2573665162036093, 0.8908851651815758),
-    axial=(0.8155, 0.3837, -0.04155, 0.1829, 0.0414, 0.3907),
-    axial_scatter=Scatter(0.26028889503501884, 0.9369185350655408),
-)
-"""Measured on insertions with random feed and air in training tubes at ``fast``, the vibration on 21,120 seconds, the
-others on 12,303. ``docs/surrogate.py`` at commit 5d808b5f fits the vibration: these values are within 2 of its
-maximum log-likelihood."""
+MEASURED: Final[Noise] = TypeAdapter(Noise).validate_json(STORED.read_bytes())
+"""Result of ``probe-env study surrogate-noise``."""
 
 
 def features(vibration: FloatArray, feed: FloatArray, length: FloatArray, tubes: FloatArray) -> FloatArray:
