@@ -15,7 +15,7 @@ from probe_agents.evaluation.workers import HERE, Workers
 from probe_agents.records.manifest import origin, write_json
 from probe_agents.studies.response import RECORDED, Program, Specimen, insert, make_bank
 from probe_agents.terminal.tables import print_line
-from probe_env import load_contexts
+from probe_env import Scene, load_contexts
 from probe_env.arrays import FloatArray
 from probe_env.envs.episodes.predicted import Noise, RandomField, Scatter, features
 from probe_env.envs.task.config import TaskConfig
@@ -59,8 +59,8 @@ def run(output: Path, limit: int = 4, workers: Workers = HERE) -> Noise:
 
 
 def task() -> TaskConfig:
-    """The task of the map, which continues without drive."""
-    return TaskConfig(scene=stored_map().scene, lost_drive_periods=1000, time_limit=1e4)
+    """The task with the whole model, which continues without drive."""
+    return TaskConfig(scene=Scene().whole(), lost_drive_periods=1000, time_limit=1e4)
 
 
 def wandering(group: int) -> Program:
