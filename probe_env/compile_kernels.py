@@ -5,8 +5,11 @@ Without it the first run of a method takes some ten seconds longer; numba keeps 
 
 import sys
 
+import numpy as np
+
 from probe_env.envs.episodes.starts import WITHDRAWAL_SCENE
 from probe_env.fidelity import ROUND_TRIP_PRESETS
+from probe_env.physics.closed_forms import MEASURED, sliding_tension
 from probe_env.physics.methods import METHODS
 from probe_env.physics.simulation.batch import SimulatorBatch
 from probe_env.physics.simulation.simulator import Simulator
@@ -21,6 +24,7 @@ def compile_kernels() -> None:
         Simulator(short, method, method.usual_step).run(1e-3)
         if method.single_fraction < 1.0:  # then one probe has a kernel of its own
             SimulatorBatch([short] * method.width, method, method.usual_step).advance(duration=1e-3)
+    sliding_tension(np.ones(1), dict.fromkeys(MEASURED, np.ones(1)), Scene().whole())
     compressed = Scene.model_validate({"carrier_length": 1.0} | WITHDRAWAL_SCENE)
     Simulator(compressed, ROUND_TRIP_PRESETS["standard"].simulated_method, 1e-4).run(1e-3)
 

@@ -13,7 +13,7 @@ from probe_agents.policies.wrappers import Shielded, SpeedLimited, fastest_withd
 from probe_env import Context, Plant, Scene, TaskConfig
 from probe_env.envs.task.observations import observe
 from probe_env.fidelity import ROUND_TRIP_PRESETS, resolve_fidelity
-from probe_env.physics.closed_forms import sliding_tension
+from probe_env.physics.closed_forms import entrance_tension, sliding_tension
 
 CONFIG = TaskConfig(scene=Scene.fitted({"tube": {"helix_length": 30.0}})).full_observation
 HARD = (
@@ -28,7 +28,7 @@ def measured(friction, config=CONFIG):
     sliding = {"inserted_length": 40.0, "feed_speed": 0.2, "air_supply_rate": 63.0 / 3600.0, "helix_diameter": 1.2}
     sliding = {name: value * one for name, value in sliding.items()}
     probe = {name: getattr(scene.probe, name) * one for name in config.observations if hasattr(scene.probe, name)}
-    tension = sliding_tension(np.asarray(friction), sliding, scene)
+    tension = sliding_tension(np.asarray(friction), sliding, scene) - entrance_tension(scene, 1.2 * one)
     known = sliding | probe | {"tension_mean_n": tension, "radial_rms_m": 1e-4 * one}
     return observe(config, defaultdict(lambda: one, known), np.zeros((len(friction), 2)))
 
@@ -44,12 +44,12 @@ def acted(actions, friction, config=CONFIG, **options):
     return shield.predict(measured(friction, config=config), (None, np.asarray(friction)))[0]
 
 
-def tensions(actions, friction):
+def tensions(actions, friction, scene=CONFIG.scene):
     """Steady root tension of actions (N, 2)."""
     feed, air = CONFIG.targets(actions).T
     one = np.ones(len(feed))
     seen = {"inserted_length": 40.0 * one, "feed_speed": feed, "air_supply_rate": air, "helix_diameter": 1.2 * one}
-    return sliding_tension(friction * one, seen, CONFIG.scene)
+    return sliding_tension(friction * one, seen, scene)
 
 
 def test_shield_changes_only_targets_below_the_margin():
@@ -71,6 +71,14 @@ def test_the_margin_is_that_of_the_route():
     assert config.required_tension == pytest.approx(3.2, abs=0.1)
     shielded = acted([[0.0, -1.0]], np.array([0.15]), config)
     assert tensions(shielded, 0.15) == pytest.approx(1.5 * config.required_tension, rel=1e-4)
+
+
+def test_margin_holds_with_weight_in_expanding_air():
+    """The tension is not proportional to the square of the wind; that of the action is within float32 of the margin."""
+    config = CONFIG.model_copy(update={"scene": CONFIG.scene.whole()})
+    friction = np.array([0.1, 0.2, 0.3])
+    shielded = acted([[0.0, -1.0]] * 3, friction, config)
+    assert tensions(shielded, friction, config.scene) == pytest.approx(1.2, rel=1e-4)
 
 
 def test_shield_takes_the_nearest_safe_action():

@@ -281,9 +281,9 @@ def fit_sliding(cases: Sequence[LogCase], prior: Prior) -> Sliding | None:
     def deviations(x: FloatArray) -> FloatArray:
         parts = []
         for case in with_tension:
-            predicted = steady_tension(np.full((1, 1), np.exp(x[0])), case.metres, case.scene)[0] * np.exp(x[1])
-            scale = middle / case.scene.air.drag_coefficient
-            parts.append(np.log(np.maximum(case.metres.measured["root_tension"], 1e-2) / (predicted * scale)))
+            drag = np.exp(x[1]) * middle / case.scene.air.drag_coefficient
+            predicted = steady_tension(np.full((1, 1), np.exp(x[0])), case.metres, case.scene, drag)[0]
+            parts.append(np.log(np.maximum(case.metres.measured["root_tension"], 1e-2) / np.maximum(predicted, 1e-2)))
         return np.concatenate(parts)
 
     def weighted(weight: float) -> Callable[[FloatArray], FloatArray]:

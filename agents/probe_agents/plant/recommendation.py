@@ -300,7 +300,7 @@ def tensions(tubes: Sequence[Context], config: TaskConfig, metres: Metres) -> Fl
     rows = []
     for tube in tubes:
         friction = np.full((1, 1), max(tube.friction, 1e-6))
-        rows.append(tube.drag_factor * steady_tension(friction, metres, _scene_in(tube, config))[0])
+        rows.append(steady_tension(friction, metres, _scene_in(tube, config), tube.drag_factor)[0])
     return np.array(rows)
 
 

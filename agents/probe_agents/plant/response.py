@@ -199,18 +199,18 @@ class Response:
         write_atomically(path, buffer.getvalue())
 
 
-def steady_tension(friction: FloatArray, metres: Metres, scene: Scene) -> FloatArray:
-    """Root tension (n, m) of steady sliding [N] for frictions (n, 1)."""
+def steady_tension(friction: FloatArray, metres: Metres, scene: Scene, drag: FloatArray | float = 1.0) -> FloatArray:
+    """Root tension (n, m) of steady sliding [N] for frictions (n, 1) and factors of the drag (n, 1)."""
     diameter = np.full(len(metres), scene.tube.helix_diameter)
     observation = {"inserted_length": metres.length, "feed_speed": metres.feed, "air_supply_rate": metres.air}
-    return sliding_tension(friction, observation | {"helix_diameter": diameter}, scene)
+    return sliding_tension(friction, observation | {"helix_diameter": diameter}, scene, drag)
 
 
 def inputs_of(table: FloatArray, metres: Metres, scene: Scene) -> tuple[FloatArray, FloatArray]:
     """Inputs (n, m, 10) of the network, and the tension of steady sliding (n, m) [N]; arguments of ``predict``."""
     diameter = scene.tube.helix_diameter
     friction, drag = table[:, None, FRICTION], table[:, None, DRAG] / scene.air.drag_coefficient
-    tension = np.maximum(drag * steady_tension(friction, metres, scene), FLOORS[0])
+    tension = np.maximum(steady_tension(friction, metres, scene, drag), FLOORS[0])
     columns = (
         metres.length / 30.0,
         np.log(metres.feed),

@@ -11,7 +11,7 @@ from probe_agents.policies.policy import Domain, ObservationPolicy, Policy
 from probe_env.arrays import BoolArray, FloatArray
 from probe_env.envs.task.config import TaskConfig
 from probe_env.envs.task.observations import in_si_units
-from probe_env.physics.closed_forms import friction_from_tension, sliding_tension
+from probe_env.physics.closed_forms import friction_from_tension, rising_root, sliding_tension
 from probe_env.physics.model.chain import air_speed
 from probe_env.schedule import Schedule
 
@@ -29,9 +29,9 @@ SIGNED: Final = ("feed_speed", "air_supply_rate", "root_tension")
 class Shielded(ObservationPolicy):
     """A policy whose feed and air maintain a margin of drive; within the margin its actions are unchanged.
 
-    The friction estimated from the root tension gives the tension at the requested feed and air, proportional to the
-    square of the wind w = Q / (a - A_c) - u. The range of Q changes w by about 70 m/s, that of u by 0.4 m/s, so the
-    shield increases the air and reduces the feed only if that is not enough.
+    The friction estimated from the root tension gives the tension at the requested feed and air, which increases with
+    the wind w = Q / (a - A_c) - u. The range of Q changes w by about 70 m/s, that of u by 0.4 m/s, so the shield
+    increases the air and reduces the feed only if that is not enough.
 
     Attributes:
         config: task that it acts in.
@@ -82,9 +82,13 @@ class Shielded(ObservationPolicy):
     def _safe(self, targets: FloatArray, measured: dict[str, FloatArray], friction: FloatArray) -> FloatArray:
         """(N, 2) feed speed [m/s] and air supply [m3/s] nearest to the targets (N, 2) that satisfy the margin."""
         config, air_speed_of_unit = self.config, air_speed(self.config.scene, 1.0)
-        unit = {"feed_speed": 0.0 * friction, "air_supply_rate": np.full(len(targets), 1.0 / air_speed_of_unit)}
-        in_unit_wind = sliding_tension(friction, measured | unit, config.scene)
-        needed = np.sqrt(self.margin * config.required_tension / in_unit_wind)
+        none = np.zeros(len(targets))
+
+        def excess(square: FloatArray) -> FloatArray:
+            drive = {"feed_speed": none, "air_supply_rate": np.sqrt(square) / air_speed_of_unit}
+            return sliding_tension(friction, measured | drive, config.scene) - self.margin * config.required_tension
+
+        needed = np.sqrt(rising_root(excess, none, none + (config.air_supply_rates[1] * air_speed_of_unit) ** 2))
         feed, air = targets.T
         # lost drive is scored beyond a length; the air must have reached its target by then
         ahead = config.feed_speeds[1] * (LAGS_AHEAD * config.air_lag + (config.delay_periods + 1) * config.period)

@@ -451,7 +451,7 @@ def quasi_steady_rewards(policy: FixedPolicy, tubes: Sequence[Context], vibratio
             "inserted_length": length, "feed_speed": feed, "air_supply_rate": air, "rf_noise": noise,
             "helix_diameter": column["helix_diameter"], "time": np.full(count, step * dt),
         }  # fmt: skip
-        tension = sliding_tension(column["friction"], observation, config.scene) * column["drag_factor"]
+        tension = sliding_tension(column["friction"], observation, config.scene, column["drag_factor"])
         feed, air = policy.targets(observation | {"root_tension": tension}, memory)
         left = np.maximum(end - length, 0.0)
         travel = np.minimum(feed * dt, left)

@@ -188,11 +188,11 @@ class Predicted(Backend):
         slow, tension, radial, axial = self.scatter.T
         vibration = mean + noise.bias + field + slow + noise.quick * normal[:, 1]
         drive = {"inserted_length": length, "feed_speed": self.feed, "air_supply_rate": self.air}
-        steady = sliding_tension(tubes[:, 0], drive | {"helix_diameter": tubes[:, 3]}, scene)
+        steady = sliding_tension(tubes[:, 0], drive | {"helix_diameter": tubes[:, 3]}, scene, tubes[:, 2])
         inputs = features(vibration, self.feed, length, tubes)
         statistics = {
             "radial_rms_m": 10.0**vibration * 1e-4,
-            "tension_mean_n": steady * tubes[:, 2] * np.exp(tension) - entrance_tension(scene, tubes[:, 3]),
+            "tension_mean_n": steady * np.exp(tension) - entrance_tension(scene, tubes[:, 3]),
             "radial_acceleration_rms_m_per_s2": 10.0 ** ((inputs * noise.radial).sum(axis=1) + radial),
             "axial_acceleration_rms_m_per_s2": 10.0 ** ((inputs * noise.axial).sum(axis=1) + axial),
         }

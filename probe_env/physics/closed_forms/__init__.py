@@ -4,17 +4,18 @@ Policies use them to estimate friction, tests to check simulations.
 """
 
 import math
-from collections.abc import Mapping
-from typing import Final
+from collections.abc import Callable, Mapping
+from typing import Final, NamedTuple
 
 import numpy as np
+from numba import vectorize
 
 from probe_env.arrays import FloatArray
 from probe_env.physics.closed_forms.bare_chains import impact as impact
 from probe_env.physics.closed_forms.bare_chains import linear_chain as linear_chain
 from probe_env.physics.model.chain import GRAVITY as GRAVITY
 from probe_env.physics.model.chain import air_pressure as air_pressure
-from probe_env.physics.model.chain import air_speed, build_chain, drag_factors
+from probe_env.physics.model.chain import air_speed, build_chain, drag_factors, wall_losses
 from probe_env.scene import Probe, Scene
 from probe_env.settings import within
 
@@ -22,6 +23,10 @@ MEASURED: Final = ("root_tension", "inserted_length", "feed_speed", "air_supply_
 """Measurements from which friction is estimated, SI units."""
 SHAPE: Final = ("guide_length", "guide_float_diameter", "carrier_float_diameter", "float_pitch")
 """Dimensions of the probe in the estimate."""
+LOCKED: Final = 1e6
+"""Force [N] at which the cable is stuck: it grows exponentially in a bend under compression."""
+ROUNDS, TOLERANCE = 60, 1e-6
+"""Most iterations of ``rising_root`` (it needs about 25), and its tolerance of the value."""
 
 
 def steady_root_tension(scene: Scene) -> float:
@@ -52,7 +57,7 @@ def steady_tensions(scene: Scene, weight: float | None = None) -> FloatArray:
 
         dT/ds = q - mu (sqrt((T / r)^2 + w^2) - d_f / d_h T / r),
 
-    the equation above for w = 0, and T = (q - mu w) s in a straight tube; integrated by Runge-Kutta steps of a pitch.
+    the equation above for w = 0, and T = (q - mu w) s in a straight tube; integrated by Runge-Kutta steps.
 
     Args:
         scene: probe, tube, friction, air, feed speed and length.
@@ -76,7 +81,8 @@ def steady_tensions(scene: Scene, weight: float | None = None) -> FloatArray:
         side = 1.0 if (tension or drag) >= 0.0 else -1.0
         mu = chain.friction * (1.0 - side * lever / radius) * side * forward
         if weight > 0.0:
-            tension = _weighed(tension, drag / pitch, forward * chain.friction, lever / radius, radius, weight, pitch)
+            friction = forward * chain.friction
+            tension = _tension_behind(tension, drag / pitch, 1.0, 0.0, pitch, friction, lever / radius, radius, weight)
         elif mu == 0.0:
             tension += drag
         else:
@@ -84,20 +90,6 @@ def steady_tensions(scene: Scene, weight: float | None = None) -> FloatArray:
             tension = limit + (tension - limit) * math.exp(-mu * pitch / radius)
         tensions.append(tension)
     return np.array(tensions)
-
-
-def _weighed(
-    tension: float, drag: float, friction: float, lever: float, radius: float, weight: float, pitch: float
-) -> float:
-    """Tension a pitch further with the weight, see ``steady_tensions``: a Runge-Kutta step of order 4."""
-
-    def slope(at: float) -> float:
-        return drag - friction * (math.hypot(at / radius, weight) - lever * at / radius)
-
-    first = slope(tension)
-    second = slope(tension + 0.5 * pitch * first)
-    third = slope(tension + 0.5 * pitch * second)
-    return tension + pitch / 6.0 * (first + 2.0 * second + 2.0 * third + slope(tension + pitch * third))
 
 
 def buckling_load(probe: Probe) -> float:
@@ -142,66 +134,137 @@ def tension_for_straight(scene: Scene, length: float, incline: float = math.pi /
 
 
 def friction_from_tension(measurements: Mapping[str, FloatArray], scene: Scene) -> FloatArray:
-    """Friction coefficient (n,) at which steady sliding has the measured root tension, by bisection.
+    """Friction coefficient (n,) at which ``sliding_tension`` is the measured tension, between 0 and 2.
 
-    Between tip and root dT/ds = q - mu' T / r, mu' = mu (1 - d_f / d_h), with the drag q per metre of the guide, then
-    of the carrier, in air of uniform pressure. Tension decreases with friction. The force of the entrance
-    is added to the measured tension.
+    Tension decreases with friction. The force of the entrance is added to the measured tension.
 
     Args:
         measurements: ``MEASURED``, (n,) each; also ``SHAPE`` if the probe is not that of the scene.
-        scene: bore, air and probe.
+        scene: bore, air, probe, and which effects count.
     """
     diameter = measurements["helix_diameter"]
     tension = measurements["root_tension"] + entrance_tension(scene, diameter)
-    pulled = _pulled_sections(measurements, scene)
-    radius = diameter / 2.0
     low, high = np.zeros_like(tension), np.full_like(tension, 2.0)
+    if _integrated(scene):
+        # clipped: far from the root the steps are bisections
+        return rising_root(lambda mu: np.clip(tension - sliding_tension(mu, measurements, scene), -1.0, 1.0), low, high)
+    sections = _sections(measurements, scene)
     for _ in range(30):
         middle = 0.5 * (low + high)
-        above = _sliding_tension(middle, pulled, radius) > tension
+        above = _uniform_sliding(middle, sections, diameter / 2.0) > tension
         low, high = np.where(above, middle, low), np.where(above, high, middle)
-    carrier = measurements.get("carrier_float_diameter", np.full_like(tension, scene.probe.carrier_float_diameter))
-    return np.asarray(0.5 * (low + high) / (1.0 - carrier / diameter))
+    return np.asarray(0.5 * (low + high) / (1.0 - sections[-1].lever))
 
 
-def sliding_tension(friction: FloatArray, measurements: Mapping[str, FloatArray], scene: Scene) -> FloatArray:
-    """Root tension (..., n) in steady sliding [N], the inverse of ``friction_from_tension`` but for the entrance.
+def sliding_tension(
+    friction: FloatArray, measurements: Mapping[str, FloatArray], scene: Scene, drag: FloatArray | float = 1.0
+) -> FloatArray:
+    """Root tension (..., n) [N] of probes that slide steadily into the helix, without the force of the entrance.
+
+    Between tip and root dT/ds = q - mu' T / r, mu' = mu (1 - d_f / d_h), with the drag q per metre of the guide, then
+    of the carrier. If air expands or the cable has weight, the equation of ``steady_tensions`` is integrated instead,
+    with an error of at most 1e-3.
 
     Args:
         friction: (..., 1) or (..., n), above 0.
         measurements: ``MEASURED`` without the tension, (n,) each; also ``SHAPE`` if the probe is not that of the scene.
-        scene: bore, air and probe.
+        scene: bore, air, probe, and which effects count.
+        drag: (..., 1) or (..., n), factor of the drag coefficient.
     """
-    diameter = measurements["helix_diameter"]
-    carrier = measurements.get("carrier_float_diameter", np.full_like(diameter, scene.probe.carrier_float_diameter))
-    return _sliding_tension(
-        friction * (1.0 - carrier / diameter), _pulled_sections(measurements, scene), diameter / 2.0
-    )
+    air, radius, sections = scene.air, measurements["helix_diameter"] / 2.0, _sections(measurements, scene)
+    if not _integrated(scene):
+        return np.asarray(drag * _uniform_sliding(friction * (1.0 - sections[-1].lever), sections, radius))
+    weight = scene.probe.line_density * GRAVITY if scene.contact.weight else 0.0
+    expansion = 2.0 * air.exit_pressure if air.compressible else 0.0
+    wall, empty = wall_losses(scene, measurements["air_supply_rate"] * air_speed(scene, 1.0))
+    square = air.exit_pressure**2 + expansion * empty * (scene.tube.helix_length - measurements["inserted_length"])
+    tension = np.zeros(1)
+    for force, length, lever in sections:
+        growth = expansion * (np.maximum(drag * force, 0.0) * air_speed(scene, 1.0) + wall)
+        pull = drag * force * air.exit_pressure
+        tension = _tension_behind(tension, pull, square, growth, length, friction, lever, radius, weight)
+        square = square + growth * length
+    return np.asarray(tension)
 
 
-def _pulled_sections(measurements: Mapping[str, FloatArray], scene: Scene) -> list[tuple[FloatArray, FloatArray]]:
-    """Drag per metre [N/m] and length [m] of the guide and of the carrier, (n,) each."""
-    length = measurements["inserted_length"]
+@vectorize(cache=True)  # type: ignore[no-untyped-call]
+def _tension_behind(tension, pull, square, growth, length, friction, lever, radius, weight):  # type: ignore
+    """Tension at the end of a section, see ``steady_tensions``, by Runge-Kutta steps of at most 0.4 r / mu and 2 m.
+
+    ``square`` is p^2 at its start, ``growth`` that of p^2 per metre, ``pull`` the drag per metre times p.
+    """
+    steps = max(math.ceil(length * max(2.5 * abs(friction) / radius, 0.5)), 1)
+    step, t, mu, pull = length / steps, tension / radius, friction / radius, pull / radius
+
+    def slope(q: float, t: float) -> float:
+        return q - mu * (math.sqrt(t * t + weight * weight) - lever * t)  # type: ignore[no-any-return]
+
+    q = pull / math.sqrt(square)
+    for k in range(steps):
+        middle = pull / math.sqrt(square + (k + 0.5) * step * growth)
+        end = pull / math.sqrt(square + (k + 1.0) * step * growth)
+        first = slope(q, t)
+        second = slope(middle, t + 0.5 * step * first)
+        third = slope(middle, t + 0.5 * step * second)
+        t += step / 6.0 * (first + 2.0 * second + 2.0 * third + slope(end, t + step * third))
+        q = end
+        if t < -LOCKED:  # it grows exponentially
+            break
+    return max(t * radius, -LOCKED)
+
+
+def rising_root(value: Callable[[FloatArray], FloatArray], low: FloatArray, high: FloatArray) -> FloatArray:
+    """Arguments (n,) between ``low`` and ``high`` where a rising function is 0, by regula falsi (Illinois).
+
+    ``low`` where it is positive everywhere, ``high`` where it is negative everywhere.
+    """
+    below, above = value(low), value(high)
+    known, bound = (below >= 0.0) | (above < 0.0), np.where(below >= 0.0, low, high)
+    root, before = low, np.zeros_like(low)
+    for _ in range(ROUNDS):
+        root = np.where(known, bound, high - above * (high - low) / np.where(known, 1.0, above - below))
+        new = value(root)
+        if (known | (np.abs(new) < TOLERANCE)).all():
+            break
+        side = np.where(new >= 0.0, 1.0, -1.0)
+        above = np.where(side > 0.0, new, np.where(side == before, 0.5 * above, above))
+        below = np.where(side < 0.0, new, np.where(side == before, 0.5 * below, below))
+        low, high, before = np.where(side < 0.0, root, low), np.where(side > 0.0, root, high), side
+    return root
+
+
+class _Section(NamedTuple):
+    """Drag per metre [N/m] at the pressure of the exit, length [m] and d_f / d_h of a part of the probe, (n,) each."""
+
+    force: FloatArray
+    length: FloatArray
+    lever: FloatArray
+
+
+def _integrated(scene: Scene) -> bool:
+    """Whether the equation of steady sliding has no closed form."""
+    return scene.air.compressible or scene.contact.weight
+
+
+def _sections(measurements: Mapping[str, FloatArray], scene: Scene) -> list[_Section]:
+    """Guide and carrier of the probes; in an integration the float at the sensor is one of the guide."""
+    length, helix = measurements["inserted_length"], measurements["helix_diameter"]
     wind = np.array([air_speed(scene, float(q)) for q in measurements["air_supply_rate"]]) - measurements["feed_speed"]
     guide, *diameters, pitch = (
         measurements.get(name, np.full_like(length, getattr(scene.probe, name))) for name in SHAPE
     )
-    guide = np.minimum(guide, length)
-    sections = (guide, length - guide)
+    guide = np.minimum(guide + pitch * _integrated(scene), length)
     return [
-        (_drag_per_metre(scene, d, pitch) * wind * np.abs(wind), section)
-        for d, section in zip(diameters, sections, strict=True)
+        _Section(_drag_per_metre(scene, d, pitch) * wind * np.abs(wind), part, d / helix)
+        for d, part in zip(diameters, (guide, length - guide), strict=True)
     ]
 
 
-def _sliding_tension(
-    friction: FloatArray, pulled: list[tuple[FloatArray, FloatArray]], radius: FloatArray
-) -> FloatArray:
+def _uniform_sliding(friction: FloatArray, sections: list[_Section], radius: FloatArray) -> FloatArray:
     """Solution of dT/ds = q - mu' T / r at the root; ``friction`` is mu'."""
     tension = np.zeros_like(friction)
-    for force, section in pulled:
-        decay = friction * section / radius
+    for force, length, _ in sections:
+        decay = friction * length / radius
         tension = tension * np.exp(-decay) - force * radius / friction * np.expm1(-decay)
     return tension
 

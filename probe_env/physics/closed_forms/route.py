@@ -17,7 +17,7 @@ import numpy.typing as npt
 from pydantic import Field, model_validator
 
 from probe_env.arrays import FloatArray
-from probe_env.physics.closed_forms import GRAVITY, drag_per_metre
+from probe_env.physics.closed_forms import GRAVITY, LOCKED, drag_per_metre, rising_root
 from probe_env.physics.model.chain import air_speed
 from probe_env.scene import Scene
 from probe_env.settings import Model, quantity
@@ -32,10 +32,6 @@ MAX_STEPS: Final = 4000
 """Most steps of a route, about 2 km; the time grows with the square."""
 MAX_AIR: Final = 0.2
 """Most air supply of a scene [m3/s]."""
-LOCKED: Final = 1e6
-"""Force [N] at which the cable is stuck: it grows exponentially in a bend under compression."""
-ROUNDS, TOLERANCE = 60, 1e-6
-"""Most iterations of ``min_air`` (it needs about 25), and its tolerance of the force [N]."""
 
 
 class Segment(Model):
@@ -163,22 +159,9 @@ def min_air(route: Route, scene: Scene, drag: Drag | None = None) -> FloatArray:
         # clipped: far from the root the steps are bisections
         return np.clip(route_forces(route, scene, np.sqrt(square), drag).feed, -1.0, 1.0)
 
-    low = np.zeros_like(route_forces(route, scene, 0.0, drag).tip)
-    high = low + MAX_AIR**2
-    below, above = feed(low), feed(high)
-    enough, hopeless = below >= 0.0, above < 0.0
-    solved = enough | hopeless
-    square, before = low, np.zeros_like(low)
-    for _ in range(ROUNDS):
-        square = np.where(solved, low, high - above * (high - low) / np.where(solved, 1.0, above - below))
-        value = feed(square)
-        if (solved | (np.abs(value) < TOLERANCE)).all():
-            break
-        side = np.where(value >= 0.0, 1.0, -1.0)
-        above = np.where(side > 0.0, value, np.where(side == before, 0.5 * above, above))
-        below = np.where(side < 0.0, value, np.where(side == before, 0.5 * below, below))
-        low, high, before = np.where(side < 0.0, square, low), np.where(side > 0.0, square, high), side
-    return np.where(hopeless, np.inf, np.sqrt(square))
+    none = np.zeros_like(route_forces(route, scene, 0.0, drag).tip)
+    square = rising_root(feed, none, none + MAX_AIR**2)
+    return np.where(square < MAX_AIR**2, np.sqrt(square), np.inf)
 
 
 def required_root_tension(route: Route, scene: Scene, drag: Drag | None = None) -> float:

@@ -144,9 +144,7 @@ def air_pressure(scene: Scene, distance: FloatArray, length: float, feed_speed: 
     """
     tube, probe, air = scene.tube, scene.probe, scene.air
     bore, cable = tube.inner_diameter**2, probe.cable_diameter**2
-    friction = 0.5 * air.darcy_factor * air.density * exit_speed**2
-    wall = friction * tube.inner_diameter / (bore - cable)
-    empty = friction * ((bore - cable) / bore) ** 2 / tube.inner_diameter
+    wall, empty = wall_losses(scene, exit_speed)
     relative = exit_speed - feed_speed
     forward = exit_speed >= 0.0
     pull = 0.5 * air.drag_coefficient * air.density * relative * abs(relative) * (1.0 if forward else -1.0)
@@ -161,6 +159,14 @@ def air_pressure(scene: Scene, distance: FloatArray, length: float, feed_speed: 
 
     dropped = drop(distance) + empty * (tube.helix_length - length) if forward else drop(length) - drop(distance)
     return np.asarray(np.sqrt(air.exit_pressure**2 + 2.0 * air.exit_pressure * np.maximum(dropped, 0.0)))
+
+
+def wall_losses(scene: Scene, exit_speed: FloatArray | float) -> tuple[FloatArray | float, FloatArray | float]:
+    """Loss of pressure per metre [Pa/m] at the wall, at the pressure of the exit, next to the cable and without it."""
+    bore, cable = scene.tube.inner_diameter**2, scene.probe.cable_diameter**2
+    friction = 0.5 * scene.air.darcy_factor * scene.air.density * exit_speed**2
+    wall = friction * scene.tube.inner_diameter / (bore - cable)
+    return wall, friction * ((bore - cable) / bore) ** 2 / scene.tube.inner_diameter
 
 
 def drag_factors(scene: Scene, edges: FloatArray, length: float, feed_speed: float, exit_speed: float) -> FloatArray:

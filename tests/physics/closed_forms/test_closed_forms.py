@@ -5,11 +5,18 @@ import math
 import numpy as np
 import pytest
 from oracles.chains import integrate, uniform_chain
+from scipy.integrate import solve_ivp
 from scipy.signal import find_peaks
 
 from probe_env import Scene, Simulator
-from probe_env.physics.closed_forms import steady_root_tension, tension_for_straight
+from probe_env.physics.closed_forms import (
+    friction_from_tension,
+    sliding_tension,
+    steady_root_tension,
+    tension_for_straight,
+)
 from probe_env.physics.methods.newmark import newmark
+from probe_env.physics.model.chain import air_pressure, air_speed
 
 
 @pytest.mark.parametrize("mode", [1, 2, 7, 30])
@@ -71,6 +78,47 @@ def test_mean_root_tension_under_drag():
     assert steady_root_tension(scene) == pytest.approx(expected, rel=1e-2)  # floats are discrete: 1 in 125
     run = Simulator(scene, time_step=2e-4).run(4.0, points=("root",))
     assert run.tension[run.time > 2.0, 0].mean() == pytest.approx(expected, rel=1e-2)
+
+
+@pytest.mark.parametrize("darcy", [0.0, 0.02])
+@pytest.mark.parametrize(
+    ("length", "friction", "diameter", "air"),
+    [
+        (3.0, 0.5, 0.5, 130.0),
+        (30.0, 0.15, 1.2, 63.0),
+        (60.0, 0.02, 3.0, 60.0),
+        (80.0, 0.4, 1.0, 100.0),
+        (80.0, 0.1, 2.0, 130.0),
+    ],
+)
+def test_sliding_with_weight_in_expanding_air(length, friction, diameter, air, darcy):
+    """Against an integration by SciPy, for two float sizes; the friction of that tension; drag as in the scene."""
+    scene = Scene(
+        tube={"helix_diameter": diameter, "helix_length": 85.0}, contact={"friction": friction, "weight": True},
+        probe={"guide_float_diameter": 0.015}, air={"compressible": True, "darcy_factor": darcy},
+        terms={"entrance": True}, air_supply_rate=air / 3600.0,
+    )  # fmt: skip
+    speed, tension = air_speed(scene, air / 3600.0), np.zeros(1)
+    for start, end, d in ((0.0, 2.6, 0.015), (2.6, length, 0.019)):
+        drag = 0.5 * 0.44 * 1.023 * math.pi / 4 * (d**2 - 0.00835**2) * (speed - 0.2) ** 2 / 0.1
+
+        def growth(s, T, drag=drag, lever=d / diameter):
+            normal = T[0] / diameter * 2.0
+            local = drag * 101325.0 / air_pressure(scene, np.array(s), length, 0.2, speed)
+            return local - friction * (math.hypot(normal, 0.111 * 9.80665) - lever * normal)
+
+        tension = solve_ivp(growth, (start, end), tension, rtol=1e-8, atol=1e-8, max_step=0.5).y[:, -1]
+    values = {"inserted_length": length, "feed_speed": 0.2, "air_supply_rate": air / 3600.0, "helix_diameter": diameter}
+    measurements = {name: np.array([value]) for name, value in values.items()}
+    # steps of 0.4 r / mu: 0.4^5 / 120 a step, of which the last r / mu counts, 3e-4; as much for steps of 2 m in p
+    pulled = sliding_tension(np.array([friction]), measurements, scene)
+    assert pulled == pytest.approx(tension, rel=1e-3)
+    felt = {"root_tension": pulled - 2.0 * 0.048 / diameter**2}
+    # the number of steps jumps with friction, and with it the error
+    assert friction_from_tension(measurements | felt, scene) == pytest.approx(friction, rel=3e-4)
+    thin = scene.model_copy(update={"air": {"drag_coefficient": 0.22}})
+    halved = sliding_tension(np.array([[friction]]), measurements, thin, np.array([[2.0]]))
+    assert halved == pytest.approx(pulled[None], rel=1e-12)
 
 
 @pytest.mark.parametrize("wall", ["inner", "outer"])
