@@ -2,14 +2,13 @@
 
 The cable slides at constant speed and has no inertia or bending stiffness. Over a length ds of the route, towards the
 feed device, the axial force T grows by (q - w sin a - mu N) ds on insertion, and by (q - w sin a + mu N) ds on
-withdrawal: drag q per metre, weight w per metre, slope a, friction mu. The wall's force is
-N = sqrt((T (1 -+ d_f / 2R) / R)^2 + (w cos a)^2), because the normal of a curve with constant slope is horizontal.
-Friction acts at the surface of the float (diameter d_f), on the inner wall under tension (-), on the outer wall under
-compression (+). The feed device can hold the cable back but cannot push it: T must not be negative there.
+withdrawal: drag q per metre (in expanding air after ``air_pressure``), weight w per metre, slope a, friction mu. The
+wall's force is N = sqrt((T (1 -+ d_f / 2R) / R)^2 + (w cos a)^2), because the normal of a curve with constant slope is
+horizontal. Friction acts at the surface of the float (diameter d_f), on the inner wall under tension (-), on the outer
+wall under compression (+). The feed device can hold the cable back but cannot push it: T must not be negative there.
 """
 
 import math
-from collections.abc import Callable
 from typing import Annotated, Final, NamedTuple, Self
 
 import numpy as np
@@ -18,12 +17,10 @@ from pydantic import Field, model_validator
 
 from probe_env.arrays import FloatArray
 from probe_env.physics.closed_forms import GRAVITY, LOCKED, drag_per_metre, rising_root
-from probe_env.physics.model.chain import air_speed
+from probe_env.physics.model.chain import air_pressure, air_speed
 from probe_env.scene import Scene
 from probe_env.settings import Model, quantity
 
-Drag = Callable[[FloatArray, FloatArray], FloatArray]
-"""Drag per metre (k,) [N/m] at air supply rates (k,) [m3/s], at distances (k,) behind the tip [m]."""
 CELL: Final = 0.5
 """Longest step of the integration [m]; tips are at the ends of the steps."""
 DECAY: Final = 0.25
@@ -78,30 +75,17 @@ class RouteForces(NamedTuple):
     segment: npt.NDArray[np.int_]  # (k,) index of the segment of the tip
 
 
-def uniform_drag(scene: Scene) -> Drag:
-    """Drag of an air stream with the same density and speed everywhere; guide floats may have another diameter."""
-    probe = scene.probe
-    guide = drag_per_metre(scene.model_copy(update={"probe": {"carrier_float_diameter": probe.guide_float_diameter}}))
-    carrier = drag_per_metre(scene)
-
-    def drag(air: FloatArray, behind: FloatArray) -> FloatArray:
-        wind = air * air_speed(scene, 1.0) - scene.feed_speed
-        return np.asarray(np.where(behind < probe.guide_length, guide, carrier) * wind * np.abs(wind))
-
-    return drag
-
-
-def route_forces(route: Route, scene: Scene, air: npt.ArrayLike | None = None, drag: Drag | None = None) -> RouteForces:
+def route_forces(route: Route, scene: Scene, air: npt.ArrayLike | None = None) -> RouteForces:
     """Forces at the feed device and at the entrance of the helix for all positions of the tip.
 
     Args:
         route: segments; one of them is the helix.
-        scene: probe, bore, helix, friction; the sign of the feed speed is the direction: negative is withdrawal.
+        scene: probe, bore, helix, friction, whether air expands, from the feed device to the end of the route; the sign
+            of the feed speed is the direction: negative is withdrawal.
         air: air supply rate [m3/s], one number or one for each tip (k,); default: that of the scene.
-        drag: drag per metre; default: ``uniform_drag`` of the scene.
     """
-    drag, mu = drag or uniform_drag(scene), scene.contact.friction
-    weight, friction = scene.probe.line_density * GRAVITY, math.copysign(mu, -scene.feed_speed)
+    probe, mu = scene.probe, scene.contact.friction
+    weight, friction = probe.line_density * GRAVITY, math.copysign(mu, -scene.feed_speed)
     lengths: list[float] = []
     slopes, radii, owner = [], [], []
     for k, segment in enumerate(route):
@@ -118,11 +102,21 @@ def route_forces(route: Route, scene: Scene, air: npt.ArrayLike | None = None, d
     helix = next(k for k, segment in enumerate(route) if segment.helix)
     segment_of, tip = np.array(owner), np.cumsum(lengths)
     air = np.broadcast_to(scene.air_supply_rate if air is None else np.asarray(air, dtype=float), tip.shape)
+    exit_speed = air * air_speed(scene, 1.0)
+    wind, carrier = exit_speed - scene.feed_speed, drag_per_metre(scene)
+    guide = drag_per_metre(scene.model_copy(update={"probe": {"carrier_float_diameter": probe.guide_float_diameter}}))
+    # of a helix that ends with the route, if the air leaves there
+    inserted = tip + np.where(exit_speed >= 0.0, scene.tube.helix_length - tip[-1], 0.0)
     force, root = np.zeros(len(tip)), np.full(len(tip), np.nan)
     for k in reversed(range(len(tip))):
         step, radius = lengths[k], radii[k]
         across = weight * math.cos(slopes[k])
-        along = drag(air[k:], tip[k:] - (tip[k] - 0.5 * step)) - weight * math.sin(slopes[k])
+        behind = tip[k:] - (tip[k] - 0.5 * step)
+        drag = np.where(behind < probe.guide_length, guide, carrier) * wind[k:] * np.abs(wind[k:])
+        if scene.air.compressible:
+            pressure = air_pressure(scene, behind, inserted[k:], scene.feed_speed, exit_speed[k:])
+            drag *= scene.air.exit_pressure / pressure
+        along = drag - weight * math.sin(slopes[k])
         if math.isinf(radius):
             force[k:] += (along + friction * across) * step
         else:
@@ -148,30 +142,30 @@ def _through_bend(
     return np.asarray(force + step / 6.0 * (first + 2.0 * second + 2.0 * third + growth(force + step * third)))
 
 
-def min_air(route: Route, scene: Scene, drag: Drag | None = None) -> FloatArray:
+def min_air(route: Route, scene: Scene) -> FloatArray:
     """Least air supply rate (k,) [m3/s] with which the feed device need not push, for each tip of ``route_forces``.
 
-    Infinite where ``MAX_AIR`` is not enough. The force is nearly linear in the square of the air, so the method is
-    regula falsi in that variable (Illinois).
+    Infinite where ``MAX_AIR`` is not enough. The force increases with the air, in a uniform stream nearly in proportion
+    to its square.
     """
 
     def feed(square: FloatArray) -> FloatArray:
         # clipped: far from the root the steps are bisections
-        return np.clip(route_forces(route, scene, np.sqrt(square), drag).feed, -1.0, 1.0)
+        return np.clip(route_forces(route, scene, np.sqrt(square)).feed, -1.0, 1.0)
 
-    none = np.zeros_like(route_forces(route, scene, 0.0, drag).tip)
+    none = np.zeros_like(route_forces(route, scene, 0.0).tip)
     square = rising_root(feed, none, none + MAX_AIR**2)
     return np.where(square < MAX_AIR**2, np.sqrt(square), np.inf)
 
 
-def required_root_tension(route: Route, scene: Scene, drag: Drag | None = None) -> float:
+def required_root_tension(route: Route, scene: Scene) -> float:
     """Least root tension in the helix [N] with which the feed device need not push, at most over all inserted lengths.
 
     It is the root tension at ``min_air``. More air increases the root tension and reduces what the parts before the
-    helix need, so a root tension above it is enough, and one below it is not. In a uniform stream it depends neither on
-    the drag coefficient nor on the feed speed.
+    helix need, so a root tension above it is enough, and one below it is not. Without ``air.darcy_factor`` it depends
+    neither on the drag coefficient nor on the feed speed.
     """
-    air = min_air(route, scene, drag)
+    air = min_air(route, scene)
     possible = np.isfinite(air)
-    forces = route_forces(route, scene, np.where(possible, air, MAX_AIR), drag)
+    forces = route_forces(route, scene, np.where(possible, air, MAX_AIR))
     return float(forces.root[forces.in_helix & possible].max(initial=0.0))

@@ -5,7 +5,7 @@ node n - j here. Element i joins nodes i and i + 1, the latter on the root side.
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -118,7 +118,9 @@ def air_speed(scene: Scene, air_supply_rate: float) -> float:
     return air_supply_rate / area
 
 
-def air_pressure(scene: Scene, distance: FloatArray, length: float, feed_speed: float, exit_speed: float) -> FloatArray:
+def air_pressure(
+    scene: Scene, distance: FloatArray, length: FloatArray | float, feed_speed: float, exit_speed: FloatArray | float
+) -> FloatArray:
     """Absolute pressure of expanding air (n,) [Pa], in steady isothermal flow of constant mass.
 
     Density rho and air speed w follow the pressure p: rho = rho_e p / p_e and w = w_e p_e / p, with the values at the
@@ -138,16 +140,16 @@ def air_pressure(scene: Scene, distance: FloatArray, length: float, feed_speed: 
     Args:
         scene: tube, probe and air; its length, feed speed and air supply are not used.
         distance: (n,) behind the tip, from 0 [m].
-        length: of the cable in the helix [m].
+        length: of the cable in the helix [m], one or (n,).
         feed_speed: [m/s].
-        exit_speed: air speed between cable and tube at the exit, see ``air_speed`` [m/s].
+        exit_speed: air speed between cable and tube at the exit, see ``air_speed`` [m/s], one or (n,).
     """
     tube, probe, air = scene.tube, scene.probe, scene.air
     bore, cable = tube.inner_diameter**2, probe.cable_diameter**2
     wall, empty = wall_losses(scene, exit_speed)
     relative = exit_speed - feed_speed
-    forward = exit_speed >= 0.0
-    pull = 0.5 * air.drag_coefficient * air.density * relative * abs(relative) * (1.0 if forward else -1.0)
+    forward = np.greater_equal(exit_speed, 0.0)
+    pull = 0.5 * air.drag_coefficient * air.density * relative * np.abs(relative) * np.where(forward, 1.0, -1.0)
     guide, carrier = (
         pull * (diameter**2 - cable) / (bore - cable) / probe.float_pitch + wall
         for diameter in (probe.guide_float_diameter, probe.carrier_float_diameter)
@@ -157,11 +159,12 @@ def air_pressure(scene: Scene, distance: FloatArray, length: float, feed_speed: 
     def drop(x: FloatArray | float) -> FloatArray:
         return np.asarray(guide * np.minimum(x, border) + carrier * np.maximum(np.subtract(x, border), 0.0))
 
-    dropped = drop(distance) + empty * (tube.helix_length - length) if forward else drop(length) - drop(distance)
+    here = drop(distance)
+    dropped = np.where(forward, here + empty * (tube.helix_length - length), drop(length) - here)
     return np.asarray(np.sqrt(air.exit_pressure**2 + 2.0 * air.exit_pressure * np.maximum(dropped, 0.0)))
 
 
-def wall_losses(scene: Scene, exit_speed: FloatArray | float) -> tuple[FloatArray | float, FloatArray | float]:
+def wall_losses(scene: Scene, exit_speed: FloatArray | float) -> tuple[Any, Any]:
     """Loss of pressure per metre [Pa/m] at the wall, at the pressure of the exit, next to the cable and without it."""
     bore, cable = scene.tube.inner_diameter**2, scene.probe.cable_diameter**2
     friction = 0.5 * scene.air.darcy_factor * scene.air.density * exit_speed**2
