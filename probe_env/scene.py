@@ -171,6 +171,16 @@ class Scene(Model):
             )
         return self
 
+    @property
+    def assumptions(self) -> dict[str, Any]:
+        """The fields that ``whole`` sets, by their names in files."""
+        terms = {f"terms.{name}": on for name, on in self.terms}
+        return {
+            "contact.weight": self.contact.weight,
+            "air.compressible": self.air.compressible,
+            "couple": self.couple,
+        } | terms
+
     def whole(self) -> Self:
         """The scene with all that the study leaves out: weight, expanding air, ``terms``, couple from the tangent."""
         return self.model_copy(

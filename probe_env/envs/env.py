@@ -209,8 +209,9 @@ class InsertionEnv(ProbeEnv):
     * `tube`: your own plant: the path of its `tube.toml`, its fields as a mapping, or a `probe_env.Plant`. It sets the
       scene, the ranges and limits of the task, and the distribution of friction, stiffness and drag from which random
       contexts are sampled. `config` then changes fields of its task.
-    * `scene`: base scene without a `tube`; default table 2 of the study. A `Scene`, or a mapping of changed fields such
-      as `{"tube": {"inner_diameter": 0.025}}`, which `spec.to_json()` can store.
+    * `scene`: base scene without a `tube`; default table 2 of the study, with all that the study leaves out. A `Scene`
+      (`probe_env.Scene()` is the study's model), or a mapping of changed fields of the default such as
+      `{"tube": {"inner_diameter": 0.025}}`, which `spec.to_json()` can store.
     * `fidelity`: "fast" (default), another preset, "auto" or settings, see `probe_env.fidelity`. "surrogate"
       predicts from a vibration map instead of simulating, tens of times faster, for training; it has no render mode.
     * `surrogate_map`: file of the map, for "surrogate" only. Default: NAME-map.npz next to the file of the `tube`, if

@@ -304,8 +304,8 @@ OF_FEED, OF_AIR = ("feed_speeds", "feed_speed_step", "ramp"), ("air_supply_rates
 class Plant(Model):
     """Tubes, probe and task of a plant; defaults are table 2's and the task's."""
 
-    assumptions: Literal["study", "whole"] = "study"
-    """Model of the simulation: that of the study, or all that it leaves out, too (``Scene.whole``)."""
+    assumptions: Literal["study", "whole"] = "whole"
+    """Model of the simulation: that of the study, or with all that it leaves out (``Scene.whole``)."""
     tube: Tubes = Tubes()
     probe: Probe = Probe()
     contact: Walls = Walls()

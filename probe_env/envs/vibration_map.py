@@ -70,7 +70,7 @@ class VibrationMap:
     """Radial rms of a metre [m] as a log-normal distribution: mean and deviation of its decadic logarithm."""
 
     layers: Layers  # three
-    scene: Scene = field(default_factory=Scene)  # bore, length, probe and air of the insertions
+    scene: Scene = TaskConfig().scene  # bore, length, probe and air of the insertions
     ranges: FloatArray = field(default_factory=lambda: SHIPPED_RANGES)  # (2, 4) low and high of each of ``CONTEXT``
     scaling: FloatArray | None = None  # (2, 7) centre and spread of the inputs; None: see ``features_of``
     digest: str = ""  # hash of its file
@@ -156,6 +156,7 @@ def equivalent_air(air: FloatArray, feed: FloatArray, scene: Scene, reference: S
     """Air supply (n,) [m3/s] with the same drag per metre in the ``reference`` scene as ``air`` has in ``scene``.
 
     Drag is proportional to the square of the air speed relative to the probe, (10), which moves at ``feed`` (n,) [m/s].
+    It is that at the exit: expanding air loses more pressure per metre in a smaller free cross-section.
     """
     if all(getattr(scene, name) == getattr(reference, name) for name in ("air", "probe")) and (
         scene.tube.inner_diameter == reference.tube.inner_diameter
@@ -223,14 +224,14 @@ def load_for(path: Path, plant: str, scene: Scene) -> VibrationMap:
 
     Raises:
         FileNotFoundError: no such file.
-        FileError: the map is damaged, or made for another bore, length, probe or air.
+        FileError: the map is damaged, or made for another bore, length, probe or air, or with other assumptions.
     """
     vibration, remedy = VibrationMap.load(path), "make it again with `probe-env study vibration-map`"
     for name in ("inner_diameter", "helix_length"):
         before, now = getattr(vibration.scene.tube, name), getattr(scene.tube, name)
         if before != now:
             raise FileError(path, f"{name} = {before!r} m, and {plant} has {now!r} m: {remedy}")
-    for name in ("probe", "air"):
+    for name in ("assumptions", "probe", "air"):
         if getattr(vibration.scene, name) != getattr(scene, name):
-            raise FileError(path, f"made for another [{name}] than {plant} has now: {remedy}")
+            raise FileError(path, f"{name} of the map and of {plant} differ: {remedy}")
     return vibration

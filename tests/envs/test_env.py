@@ -168,6 +168,33 @@ def test_reset_options_set_fields_of_the_context():
     assert env.unwrapped.episodes.simulated().simulators[0].sensor == 160
 
 
+@pytest.mark.parametrize(
+    ("env_id", "fidelity"),
+    [
+        *(("probe_env/Insertion-v1", fidelity) for fidelity in ("study", "reference", "standard", "fast")),
+        pytest.param("probe_env/Inspection-v0", "study", marks=pytest.mark.slow),
+        *(("probe_env/Inspection-v0", fidelity) for fidelity in ("standard", "fast")),
+    ],
+)
+def test_every_preset_simulates_the_whole_model(env_id, fidelity):
+    """From 5 m to the end of the helix, and back."""
+    short = {"tube": {"helix_length": 5.5}, "carrier_length": 2.5}
+    env = gym.make(env_id, fidelity=fidelity, scene=short, config={"settle_time": 0.5}).unwrapped
+    env.reset(seed=0)
+    ended = False
+    while not ended:
+        *_, ended, _, info = env.step(np.array([1.0, 0.0], dtype=np.float32))
+    assert info["episode_kpis"]["complete"] == 1.0
+    assert env.episodes.simulated().simulators[0].scene.assumptions == probe_env.Scene().whole().assumptions
+
+
+def test_explicit_is_refused_for_the_whole_model():
+    settings = {"method": "explicit", "time_step": 5e-6}
+    with pytest.raises(ValueError, match=r"air.compressible = true: explicit does not simulate it; use newmark"):
+        gym.make("probe_env/Insertion-v1", fidelity=settings)
+    gym.make("probe_env/Insertion-v1", fidelity=settings, scene=probe_env.Scene())
+
+
 MAPPED = {"fidelity": "surrogate"}
 REFUSED = [
     ({"fidelity": "best"}, None, "fidelity = 'best'"),
@@ -200,7 +227,12 @@ REFUSED = [
     (MAPPED | {"config": {"friction_drift": 0.1}}, None, "without friction_drift"),
     (MAPPED | {"config": {"sensor_dropout": 0.1}}, None, "without sensor_dropout"),
     (MAPPED | {"scene": {"tube": {"helix_length": 80.0}}}, None, "helix_length = 80 m \\(the map ends at 60 m\\)"),
-    (MAPPED | {"surrogate_map": "configs/tubes/snr-map.npz"}, None, "but the map is of snr"),
+    (MAPPED | {"scene": probe_env.Scene()}, None, "without contact.weight = False, air.compressible = False, couple"),
+    (
+        MAPPED | {"surrogate_map": "configs/tubes/snr-map.npz", "scene": probe_env.Scene()},
+        None,
+        "but the map is of snr",
+    ),
 ]
 
 

@@ -18,7 +18,7 @@ from probe_env.envs.episodes.predicted import Noise, Predicted, RandomField, Sca
 from probe_env.envs.task.config import TaskConfig
 from probe_env.envs.vibration_map import stored_map
 from probe_env.fidelity import PRESETS, Fidelity
-from probe_env.physics.closed_forms import sliding_tension
+from probe_env.physics.closed_forms import entrance_tension, sliding_tension
 
 CONFIG = TaskConfig().full_observation
 TUBE = Context(friction=0.18, helix_diameter=1.4)
@@ -85,8 +85,10 @@ def test_without_noise_it_is_the_map_and_the_closed_form():
     drive = {name: np.array([info[name]]) for name in ("inserted_length", "feed_speed", "air_supply_rate")}
     mean = stored_map().predict(*drive.values(), tubes, CONFIG.scene)[0][0]
     assert info["radial_rms_m"] == pytest.approx(1e-4 * 10.0**mean)
-    pulled = sliding_tension(np.array([TUBE.friction]), drive | {"helix_diameter": tubes[:, 3]}, CONFIG.scene)
-    assert info["tension_mean_n"] == pytest.approx(pulled[0] * TUBE.drag_factor)
+    diameter = tubes[:, 3]
+    pulled = sliding_tension(np.array([TUBE.friction]), drive | {"helix_diameter": diameter}, CONFIG.scene)
+    tension = pulled[0] * TUBE.drag_factor - entrance_tension(CONFIG.scene, diameter)[0]
+    assert info["tension_mean_n"] == pytest.approx(tension)
 
 
 def test_feed_follows_its_ramp_and_air_its_lag():

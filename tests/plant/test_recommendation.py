@@ -16,7 +16,7 @@ from probe_agents.policies.cases import load_case
 from probe_agents.policies.catalogue import DATA
 from probe_agents.policies.plc_law import PlantData
 from probe_agents.records.tables import read_csv
-from probe_env import Context, Plant
+from probe_env import Context, Plant, Scene
 from probe_env.envs.plants import FeedDevice, Supply, Tubes
 from probe_env.envs.vibration_map import feeds
 from probe_env.physics.closed_forms import buckling_load
@@ -118,7 +118,7 @@ def test_feeds_end_at_the_speed_that_the_instrument_permits():
 
 def test_recommended_air_carries_the_probe_through_the_route():
     """With 1.5 times the drag that 12 m of rising tube need where lost drive is not scored yet, then by the tension."""
-    tables = PLANT.model_dump() | {"route": ({"length": 12.0, "slope": 90.0}, {"helix": True})}
+    tables = PLANT.model_dump() | {"assumptions": "study", "route": ({"length": 12.0, "slope": 90.0}, {"helix": True})}
     plant = Plant.model_validate(tables)
     config = plant.config
     air = recommendation.route_air(plant, TUBES)
@@ -139,7 +139,8 @@ def test_recommended_air_carries_the_probe_through_the_route():
 def test_air_is_safe_in_every_tube():
     """One step further it is not in one at least; and what the most air does there is what was simulated.
 
-    Of the test tubes the 130 m3/h of the device buckle the cable in number 29 alone, as they did in whole inspections.
+    Of the test tubes the 130 m3/h of the device buckle the cable in number 29 alone, as they did in whole inspections
+    of the study's model; air that expands pushes less.
     """
     speeds = feeds(CONFIG)
     air_in, air_back = safe_air(CONFIG, TRAIN.contexts, speeds)
@@ -149,7 +150,8 @@ def test_air_is_safe_in_every_tube():
     pulls = recommendation.min_root_tension(CONFIG, TRAIN.contexts, np.array([air_in - 1.0, air_in]), speeds[1])
     assert pulls[0] < MARGIN * CONFIG.required_tension <= pulls[1]
     unseen = load_case(None, "test").contexts
-    assert [k for k, tube in enumerate(unseen) if root_compression(CONFIG, tube, 130.0, 0.4) > load] == [29]
+    for config, buckled in ((CONFIG.model_copy(update={"scene": Scene()}), [29]), (CONFIG, [])):
+        assert [k for k, tube in enumerate(unseen) if root_compression(config, tube, 130.0, 0.4) > load] == buckled
     fewer = safe_air(CONFIG, TRAIN.contexts[:6], speeds)
     assert fewer[0] <= air_in
     assert fewer[1] >= air_back
@@ -158,7 +160,7 @@ def test_air_is_safe_in_every_tube():
 def test_a_device_without_safe_air_is_refused():
     for update, message in [
         ({"required_tension": 50.0}, "the most air pulls with only .* N in the worst tube, and 75 N are needed"),
-        ({"scene": {"probe": {"flexural_rigidity": 0.002}}}, "the least air compresses with .* N; the limit is"),
+        ({"scene": {"probe": {"flexural_rigidity": 0.001}}}, "the least air compresses with .* N; the limit is"),
     ]:
         with pytest.raises(ValueError, match=message):
             safe_air(CONFIG.model_copy(update=update), TRAIN.contexts[:6], (0.1, 0.4))

@@ -13,7 +13,7 @@ from probe_agents.policies.catalogue import named_policies
 from probe_agents.policies.law import Law, LawPolicy
 from probe_env import Context, Plant, Scene, TaskConfig
 from probe_env.fidelity import PRESETS
-from probe_env.physics.closed_forms import sliding_tension
+from probe_env.physics.closed_forms import entrance_tension, sliding_tension
 
 GIVEN: dict[str, Any] = {
     "scene": {},
@@ -89,7 +89,8 @@ def test_law_settles_on_the_friction_of_steady_sliding():
     POLICY.start(memory)
     rest = {"inserted_length": 40.0, "feed_speed": 0.2, "air_supply_rate": 0.0175, "helix_diameter": 1.2}
     seen = {name: np.full(2, value) for name, value in rest.items()}
-    seen["root_tension"] = sliding_tension(np.array([0.1, 0.2]), seen, CONFIG.scene)
+    entrance = entrance_tension(CONFIG.scene, seen["helix_diameter"])
+    seen["root_tension"] = sliding_tension(np.array([0.1, 0.2]), seen, CONFIG.scene) - entrance
     feeds = [POLICY.targets(seen, memory)[0] for _ in range(200)]
     assert feeds[14] == pytest.approx([0.3 - 0.1 / np.e, 0.1 + 0.1 / np.e], rel=1e-2)
     assert feeds[-1] == pytest.approx([0.3, 0.1], rel=1e-2)

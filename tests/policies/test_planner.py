@@ -180,13 +180,14 @@ def test_remaining_reward_is_that_of_the_best_schedule():
 def test_an_estimated_tube_is_read_from_the_tension(seeds):
     """By the closed form of steady sliding, through 2 % of noise of the load cell.
 
-    Of 32 other episodes in each tube the friction was 0.0016 and 0.0007 too high and scattered by 0.0055 and 0.0047.
-    The mean of eight is within 0.012 but for 1e-4: the prior, 0.025 from the nearer of both, would not pass.
+    Of 32 other episodes in each tube the friction was 0.0004 and 0.0117 too high, as vibration adds to the friction of
+    the weight, and scattered by 0.0043 and 0.0040. The mean of eight is within 0.020 but for 1e-4: the prior, 0.025
+    from the nearer of both, would not pass.
     """
     planner, count = InsertionPlanner(CONFIG, tube="estimated", candidates=2, periods=1, average=1e-3), 16
     episodes = running(periods=30, feed=0.2, seeds=seeds(count))
     _, states = planner.plan_actions(episodes, range(count), episodes.observation, [None] * count)
-    within = 0.0016 + of_another(0.0055, among=len(TUBES), members=count // len(TUBES))
+    within = 0.0117 + of_another(0.0043, among=len(TUBES), members=count // len(TUBES))
     for k, tube in enumerate(TUBES):
         friction = np.mean([state.friction for state in states[k :: len(TUBES)]])
         assert abs(friction - tube.friction) < within < abs(planner.prior - tube.friction)

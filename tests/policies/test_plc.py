@@ -14,7 +14,7 @@ from probe_agents.policies.cases import read_case
 from probe_agents.policies.catalogue import make_policy
 from probe_agents.policies.plc_law import Constants, PlantData, PlcIntegral, PlcProportional, Trim, read_constants
 from probe_agents.policies.policy import OutsideDomain
-from probe_env import Plant
+from probe_env import Plant, Scene
 from probe_env.envs.plants import Posterior, Supply, Tubes
 from probe_env.envs.task.config import TaskConfig
 from probe_env.files import FileError
@@ -23,7 +23,7 @@ from probe_env.physics.closed_forms import sliding_tension
 from probe_env.schedule import Schedule
 from tests.oracles.structured_text import FunctionBlock, block_inputs
 
-CONFIG = TaskConfig().full_observation
+CONFIG = TaskConfig(scene=Scene()).full_observation  # the laws read friction by the closed form of the study
 PLANT = PlantData.of(CONFIG)
 TRIM = Trim(aim=4e-5, time=60.0)
 

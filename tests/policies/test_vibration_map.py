@@ -151,7 +151,7 @@ def settled(decades, tension_fraction=1.0, seconds=120, length=40.0):
         scene = Scene(
             contact={"friction": 0.2}, tube={"helix_diameter": tube.helix_diameter}, carrier_length=length - 2.5,
             feed_speed=float(feed[0]), air_supply_rate=float(air[0]),
-        )  # fmt: skip
+        ).whole()  # fmt: skip
         shown = {
             "inserted_length": length / 60.0, "feed_speed": feed[0] / 0.4, "air_supply_rate": air[0] * 3600.0 / 130.0,
             "rf_noise": expected + decades, "root_tension": tension_fraction * steady_root_tension(scene) / 20.0,
@@ -174,18 +174,18 @@ def test_adaptive_policy_finds_the_noise_level_of_its_probe():
     assert same[:2] == pytest.approx([float(part) for part in best], rel=0.1)
     half = best_schedule_for(Context(friction=0.2), CONFIG, shift=0.4).at(40.0)
     assert louder[:2] == pytest.approx([float(part) for part in half], rel=0.1)
-    # floats with a fifth of the drag: the air goes up until the root tension is 2 N
-    feed, air, _ = settled(-1.0, tension_fraction=0.2, length=20.0)
-    scene = Scene(contact={"friction": 0.2}, carrier_length=17.5, feed_speed=feed, air_supply_rate=air)
-    assert 0.2 * steady_root_tension(scene) > 1.9
+    # less than half of the tension: the air goes up until it is 2 N
+    feed, air, _ = settled(-1.0, tension_fraction=0.4, length=20.0)
+    scene = Scene(contact={"friction": 0.2}, carrier_length=17.5, feed_speed=feed, air_supply_rate=air).whole()
+    assert 0.4 * steady_root_tension(scene) > 1.9
     assert air > settled(-1.0, length=20.0)[1]
     assert air > feed / air_speed(Scene(), 1.0)
 
 
 def test_agent_that_sees_the_probe_uses_its_floats():
     """Small floats have less drag, so less tension: taken for table 2's they look like much more friction."""
-    probe = {"carrier_float_diameter": 0.0175, "guide_float_diameter": 0.0175}
-    scene = Scene(probe=probe, contact={"friction": 0.15}, carrier_length=27.5)
+    probe = {"carrier_float_diameter": 0.016, "guide_float_diameter": 0.016}
+    scene = Scene(probe=probe, contact={"friction": 0.15}, carrier_length=27.5).whole()
     config = CONFIG.full_observation
     measured = {
         "root_tension": steady_root_tension(scene) / 20.0, "inserted_length": 0.5, "feed_speed": 0.2 / 0.4,

@@ -8,7 +8,7 @@ import pytest
 import tomli_w
 from pydantic import ValidationError
 
-from probe_env import Plant, Scene, Terms
+from probe_env import Plant, Scene, TaskConfig, Terms
 from probe_env.physics.model.chain import build_chain
 
 SCENES = sorted((Path(__file__).parents[2] / "configs" / "scenes").glob("*.toml"))
@@ -32,7 +32,17 @@ def test_the_whole_model_has_every_term_and_keeps_the_rest():
     changed = {"couple": "tangent", "contact": {"weight": True}, "air": {"compressible": True}}
     changed["terms"] = dict.fromkeys(Terms.model_fields, True)
     assert scene.whole() == scene.model_copy(update=changed)
-    assert Plant(assumptions="whole", contact={"friction": 0.2}).scene == Plant(contact={"friction": 0.2}).scene.whole()
+
+
+def test_tasks_and_plants_default_to_the_whole_model():
+    assert TaskConfig().scene == Scene().whole()
+    assert Plant().scene == Plant(assumptions="study").scene.whole()
+    changed = {"carrier_length": 10.0, "contact": {"friction": 0.2, "weight": False}}
+    assert TaskConfig(scene=changed).scene == Scene().whole().model_copy(update=changed)
+    for stored in (Scene(carrier_length=10.0), Scene(carrier_length=10.0).whole()):  # with all fields: as stored
+        assert TaskConfig(scene=stored.model_dump()).scene == TaskConfig(scene=stored).scene == stored
+    before_terms = Scene().model_dump(exclude={"terms"})
+    assert TaskConfig(scene=before_terms).scene == Scene()
 
 
 def test_guide_floats_reach_up_to_the_sensor():

@@ -50,7 +50,7 @@ def map_of(plant_file: Path | None, plant: Plant | None) -> VibrationMap:
     """Read the vibration map next to a plant's file; the shipped map if there is none.
 
     Raises:
-        FileError: the map is damaged, or its bore, length, probe or air differ from the file.
+        FileError: the map is damaged, or its bore, length, probe, air or assumptions differ from the file.
     """
     if plant_file is None or plant is None:
         return stored_map()

@@ -15,7 +15,7 @@ import numpy as np
 
 from probe_agents.policies.fixed import FixedPolicy, gain
 from probe_agents.policies.policy import Domain
-from probe_env import Context, Scene
+from probe_env import Context
 from probe_env.arrays import FloatArray
 from probe_env.envs.contexts import HELIX_DIAMETERS
 from probe_env.envs.task.config import TaskConfig
@@ -37,7 +37,7 @@ SPACING: Final = 2.5  # [m] between knots
 FIRST: Final = 5.0  # [m], the length at which an insertion begins
 MIN_AIR: Final = 45.0 / 3600.0
 """[m3/s] for table 2; with less, the root tension of a training tube was close to the required 0.8 N."""
-USUAL: Final = Scene()
+USUAL: Final = TaskConfig().scene
 FRICTIONS: Final = (0.08, 0.27)
 FRICTION_STEP: Final = 0.005
 SHIFTS: Final = (-1.5, 1.0)

@@ -102,7 +102,6 @@ def tubes_of(group: int) -> tuple[Plant, list[Specimen]]:
     fractions = spread.fast_forward(group * SIZE).random(SIZE) if group else spread.random(SIZE)
     bore = float(value_at(qmc.Halton(1, scramble=False).fast_forward(group + 1).random(1)[0, 0], BORES))
     plant = Plant(
-        assumptions="whole",
         tube=Tubes(inner_diameter=round(bore, 6), helix_length=LENGTHS[group % len(LENGTHS)]),
         task={"lost_drive_periods": 1000, "time_limit": 1e4},
     )

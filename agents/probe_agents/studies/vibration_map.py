@@ -133,8 +133,7 @@ def run(output: Path, trials: int = 2, tube: Path | None = None, workers: Worker
 
     seeds, target, plant = range(trials), target_of(output, tube), plant_at(tube)
     changes = {"lost_drive_periods": 1000}  # continue without drive
-    table_2 = TaskConfig(scene=Scene().whole())
-    config = table_2.model_copy(update=changes) if plant is None else plant.configured(changes=changes)
+    config = TaskConfig().model_copy(update=changes) if plant is None else plant.configured(changes=changes)
     rms_limit(config)  # fails for a measure without a map
     contexts = load_contexts("train") if plant is None else plant.contexts(SPLIT_SIZES["train"])
     fast = resolve_fidelity("fast", config.scene)

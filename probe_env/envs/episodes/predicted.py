@@ -206,13 +206,13 @@ class Predicted(Backend):
 def check_task(config: TaskConfig, probes: str, vibration: VibrationMap) -> None:
     """Raise ValueError if the map does not predict a task."""
     length, max_length = config.scene.tube.helix_length, vibration.scene.tube.helix_length
+    mapped = vibration.scene.assumptions
     refused = {
         "growing = False": not config.growing,
         f"probes = {probes!r}": probes != "scene",
         "sensor_dropout": config.sensor_dropout > 0.0,
         "friction_drift": config.friction_drift != 0.0,
-        "air.compressible = true": config.scene.air.compressible,
-        "contact.weight = true": config.scene.contact.weight,
+        **{f"{name} = {value!r}": value != mapped[name] for name, value in config.scene.assumptions.items()},
         f"helix_length = {length:g} m (the map ends at {max_length:g} m)": length > max_length * (1.0 + 1e-9),
     }
     wrong = [name for name, applies in refused.items() if applies]

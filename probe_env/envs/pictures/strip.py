@@ -1,8 +1,7 @@
 """Slow motion of the unrolled tube near the tip: walls, floats, contacts, cable and signals of the sensor.
 
-A control period stores the motion of the sensor only. For the whole chain, a copy of the simulator advances in short
-pieces towards the targets of the period. A run does not depend on its division, so the copy equals the probe bit for
-bit.
+A control period stores the motion of the sensor only. For the other nodes a copy of the simulator advances by the
+period towards its targets, bit for bit as the probe.
 """
 
 import copy
@@ -46,7 +45,7 @@ class Motion:
     outer_gap: FloatArray  # (n,) radial displacement at contact with the outer wall [m]; infinite without that wall
     floats: BoolArray  # (n,) whether the node is a float
     time: FloatArray  # (k,) since the first frame, ``FRAME_PERIOD`` apart [s]
-    inserted_length: FloatArray  # (k,) [m]
+    inserted_length: FloatArray  # (k,) [m], linear within a control period
     axial: FloatArray
     radial: FloatArray  # (k, n) displacement [m]; radial 0 touches the inner wall, negative presses on it
     signal_time: FloatArray  # (m,) of the signals, ``SAMPLE_PERIOD`` apart [s]; negative before the first frame
@@ -79,8 +78,10 @@ class Watch:
         self._nodes = np.arange(min(max(round(length / h), simulator.sensor), simulator.root - 1) + 1)
         self._before, self._samples = len(axial), 0
         self._axial, self._radial = [axial], [radial]
-        self._frames: list[tuple[float, FloatArray]] = []
-        self._add_frame(simulator)
+        self._shapes, self._lengths = (
+            [simulator.state.d[None, self._nodes, :2]],
+            [np.array([simulator.length_in_helix])],
+        )
 
     def follow(self, simulator: Simulator, feed_speed: float, air_supply_rate: float, duration: float) -> Simulator:
         """Record a copy of the probe for ``duration`` [s] towards targets [m/s], [m3/s].
@@ -89,25 +90,25 @@ class Watch:
             the copy at the end.
 
         Raises:
-            ValueError: the duration is no whole number of sample periods, or a target is out of range.
+            ValueError: the duration is no whole number of time steps, or a target is out of range.
             SimulationError: the state diverges.
         """
-        ahead, remaining = copy.deepcopy(simulator), round(duration / SAMPLE_PERIOD)
-        while remaining > 0:
-            samples = min(remaining, EVERY - self._samples % EVERY)
-            run = ahead.advance(feed_speed, air_supply_rate, samples * SAMPLE_PERIOD, SAMPLE_PERIOD, points=("sensor",))
-            self._axial.append(run.axial[1:, 0])
-            self._radial.append(run.radial[1:, 0])
-            self._samples, remaining = self._samples + samples, remaining - samples
-            if self._samples % EVERY == 0:
-                self._add_frame(ahead)
+        ahead, points = copy.deepcopy(simulator), (self._chain.element_length * self._nodes).tolist()
+        run = ahead.advance(feed_speed, air_supply_rate, duration, SAMPLE_PERIOD, points)
+        self._axial.append(run.axial[1:, self._sensor])
+        self._radial.append(run.radial[1:, self._sensor])
+        frames = slice(EVERY - self._samples % EVERY, None, EVERY)
+        self._samples += len(run.time) - 1
+        self._shapes.append(np.stack([run.axial[frames], run.radial[frames]], axis=-1))
+        lengths = simulator.length_in_helix, ahead.length_in_helix
+        self._lengths.append(np.interp(run.time[frames], run.time[[0, -1]], lengths))
         return ahead
 
     def motion(self) -> Motion:
         """Motion recorded so far."""
         chain, nodes = self._chain, self._nodes
         axial, radial = np.concatenate(self._axial), np.concatenate(self._radial)
-        shapes = np.array([d for _, d in self._frames])
+        shapes, lengths = np.concatenate(self._shapes), np.concatenate(self._lengths)
         return Motion(
             scene=self._scene,
             sensor=self._sensor,
@@ -115,18 +116,14 @@ class Watch:
             lever=chain.lever[nodes],
             outer_gap=chain.outer_gap[nodes],
             floats=chain.contact_stiffness[nodes] > 0.0,
-            time=FRAME_PERIOD * np.arange(len(self._frames)),
-            inserted_length=np.array([length for length, _ in self._frames]),
+            time=FRAME_PERIOD * np.arange(len(lengths)),
+            inserted_length=lengths,
             axial=shapes[:, :, 0],
             radial=shapes[:, :, 1],
             signal_time=SAMPLE_PERIOD * (np.arange(len(axial)) + 1 - self._before),
             signal_axial=axial,
             signal_radial=radial,
         )
-
-    def _add_frame(self, simulator: Simulator) -> None:
-        length = simulator.length_in_helix
-        self._frames.append((length, simulator.state.d[self._nodes].copy()))
 
 
 FRAMES_PER_SECOND: Final = 25

@@ -42,14 +42,21 @@ MEASURES: Final[dict[Measure, tuple[str, float]]] = {
 
 
 def scene_of(settings: Any) -> Any:
-    """A scene from a ``Scene``, or from a mapping of changed fields of table 2's scene, which JSON can store."""
-    return Scene.fitted(settings) if isinstance(settings, Mapping) else settings
+    """A scene from a ``Scene``, from all its fields as files store them, or from changed fields of the default scene.
+
+    The default is table 2 with all that the study leaves out, ``Scene().whole()``.
+    """
+    if not isinstance(settings, Mapping):
+        return settings
+    scene = Scene.fitted(settings)
+    stored = settings.keys() >= Scene.model_fields.keys() - {"terms"}  # old files lack it
+    return scene if stored else scene.whole().model_copy(update=settings)
 
 
 class Setup(Model):
     """Scene, sensor and inserted length."""
 
-    scene: Annotated[Scene, BeforeValidator(scene_of)] = Scene()
+    scene: Annotated[Scene, BeforeValidator(scene_of)] = Scene().whole()
     """Base scene: tube, probe and air, before the context of an episode is applied."""
     sensor: Sensor = Sensor()
     """Sensor: noise by motion, and threshold of a flaw call."""

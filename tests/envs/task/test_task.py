@@ -17,6 +17,7 @@ from probe_env.physics.simulation.batch import SimulatorBatch
 TERMS = ("progress", "vibration", "time", "air", "jerk", "uninspected", "diverged")
 CONSTANT = (0.2, 63.0 / 3600.0)
 WORST = probe_env.Context(friction=0.25, contact_stiffness=0.7e5, drag_factor=1.1, helix_diameter=1.0)
+HARD = WORST.model_copy(update={"friction": 0.2})  # in the worst the study's feed and air lose their drive
 MILD = probe_env.Context(friction=0.10, contact_stiffness=1.4e5, drag_factor=0.9, helix_diameter=2.5)
 
 
@@ -45,12 +46,12 @@ def run_batch(policies, contexts, fidelity="fast", config=None):
 
 @pytest.fixture(scope="module")
 def insertions():
-    return run_batch([CONSTANT, (0.4, 130.0 / 3600.0)], [WORST, MILD])
+    return run_batch([CONSTANT, (0.4, 130.0 / 3600.0)], [HARD, MILD])
 
 
 def test_a_full_insertion_ends_at_the_helix_s_end(insertions):
-    """With twelve other seeds the radial rms in the hard tube is 1690 times that in the mild one (+- 3.5 %), and
-    0.156 +- 0.007 of its length is within the limit.
+    """With twelve other seeds the radial rms in the hard tube is 2820 times that in the mild one (+- 3.1 %), and
+    0.223 +- 0.009 of its length is within the limit.
     """
     kpis, terms, observations = insertions
     for k in (0, 1):
@@ -72,7 +73,7 @@ def test_a_full_insertion_ends_at_the_helix_s_end(insertions):
 def test_contexts_leave_something_to_decide(insertions):
     """The fastest feed beats the study's feed in a mild context and loses in a hard one.
 
-    With twelve other seeds by 14.418 (to six digits) and 437 +- 9, far beyond both margins.
+    With twelve other seeds by 13.663 (to six digits) and 78 +- 13, 4.4 standard deviations beyond the margin.
     """
     study_hard, study_mild, race_hard, race_mild = insertions[1].sum(axis=1)
     assert race_mild > study_mild + 5.0
