@@ -8,7 +8,6 @@ from scipy.stats import chi2
 from probe_agents.cli import main
 from probe_agents.studies import surrogate_noise as study
 from probe_env.envs.episodes.predicted import MEASURED, Noise, features
-from probe_env.envs.task.config import TaskConfig
 from probe_env.envs.vibration_map import CONTEXT
 
 ERRORS = 4.5
@@ -26,7 +25,6 @@ def test_noise_of_the_surrogate_is_recovered(tmp_path, monkeypatch):
     """Of eight insertions. Twice the log-likelihood over that of the truth is chi-square distributed."""
     monkeypatch.setattr(study, "SIZE", 8)
     monkeypatch.setattr(study, "FIDELITY", "surrogate")
-    monkeypatch.setattr(study, "task", lambda: TaskConfig(lost_drive_periods=1000, time_limit=1e4))  # of the map
     assert main(["study", "surrogate-noise", "--limit", "1", "--output", str(tmp_path)]) == 0
     noise = TypeAdapter(Noise).validate_json((tmp_path / "surrogate-noise.json").read_bytes())
     with np.load(tmp_path / "surrogate-000.npz") as bank:
