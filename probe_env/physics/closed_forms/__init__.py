@@ -5,7 +5,7 @@ Policies use them to estimate friction, tests to check simulations.
 
 import math
 from collections.abc import Callable, Mapping
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 from numba import vectorize
@@ -27,6 +27,8 @@ LOCKED: Final = 1e6
 """Force [N] at which the cable is stuck: it grows exponentially in a bend under compression."""
 ROUNDS, TOLERANCE = 60, 1e-6
 """Most iterations of ``rising_root`` (it needs about 25), and its tolerance of the value."""
+Sections = list[tuple[FloatArray, FloatArray, FloatArray]]
+"""Drag per metre [N/m] at the pressure of the exit, length [m] and d_f / d_h of guide and carrier, (n,) each."""
 
 
 def steady_root_tension(scene: Scene) -> float:
@@ -140,7 +142,7 @@ def friction_from_tension(measurements: Mapping[str, FloatArray], scene: Scene) 
 
     Args:
         measurements: ``MEASURED``, (n,) each; also ``SHAPE`` if the probe is not that of the scene.
-        scene: bore, air, probe, and which effects count.
+        scene: bore, air, rest of the probe, and which effects count.
     """
     diameter = measurements["helix_diameter"]
     tension = measurements["root_tension"] + entrance_tension(scene, diameter)
@@ -153,7 +155,7 @@ def friction_from_tension(measurements: Mapping[str, FloatArray], scene: Scene) 
         middle = 0.5 * (low + high)
         above = _uniform_sliding(middle, sections, diameter / 2.0) > tension
         low, high = np.where(above, middle, low), np.where(above, high, middle)
-    return np.asarray(0.5 * (low + high) / (1.0 - sections[-1].lever))
+    return np.asarray(0.5 * (low + high) / (1.0 - sections[-1][2]))
 
 
 def sliding_tension(
@@ -168,12 +170,12 @@ def sliding_tension(
     Args:
         friction: (..., 1) or (..., n), above 0.
         measurements: ``MEASURED`` without the tension, (n,) each; also ``SHAPE`` if the probe is not that of the scene.
-        scene: bore, air, probe, and which effects count.
+        scene: bore, air, rest of the probe, and which effects count.
         drag: (..., 1) or (..., n), factor of the drag coefficient.
     """
     air, radius, sections = scene.air, measurements["helix_diameter"] / 2.0, _sections(measurements, scene)
     if not _integrated(scene):
-        return np.asarray(drag * _uniform_sliding(friction * (1.0 - sections[-1].lever), sections, radius))
+        return np.asarray(drag * _uniform_sliding(friction * (1.0 - sections[-1][2]), sections, radius))
     weight = scene.probe.line_density * GRAVITY if scene.contact.weight else 0.0
     expansion = 2.0 * air.exit_pressure if air.compressible else 0.0
     wall, empty = wall_losses(scene, measurements["air_supply_rate"] * air_speed(scene, 1.0))
@@ -233,20 +235,12 @@ def rising_root(value: Callable[[FloatArray], FloatArray], low: FloatArray, high
     return root
 
 
-class _Section(NamedTuple):
-    """Drag per metre [N/m] at the pressure of the exit, length [m] and d_f / d_h of a part of the probe, (n,) each."""
-
-    force: FloatArray
-    length: FloatArray
-    lever: FloatArray
-
-
 def _integrated(scene: Scene) -> bool:
     """Whether the equation of steady sliding has no closed form."""
     return scene.air.compressible or scene.contact.weight
 
 
-def _sections(measurements: Mapping[str, FloatArray], scene: Scene) -> list[_Section]:
+def _sections(measurements: Mapping[str, FloatArray], scene: Scene) -> Sections:
     """Guide and carrier of the probes; in an integration the float at the sensor is one of the guide."""
     length, helix = measurements["inserted_length"], measurements["helix_diameter"]
     wind = np.array([air_speed(scene, float(q)) for q in measurements["air_supply_rate"]]) - measurements["feed_speed"]
@@ -255,12 +249,12 @@ def _sections(measurements: Mapping[str, FloatArray], scene: Scene) -> list[_Sec
     )
     guide = np.minimum(guide + pitch * _integrated(scene), length)
     return [
-        _Section(_drag_per_metre(scene, d, pitch) * wind * np.abs(wind), part, d / helix)
+        (_drag_per_metre(scene, d, pitch) * wind * np.abs(wind), part, d / helix)
         for d, part in zip(diameters, (guide, length - guide), strict=True)
     ]
 
 
-def _uniform_sliding(friction: FloatArray, sections: list[_Section], radius: FloatArray) -> FloatArray:
+def _uniform_sliding(friction: FloatArray, sections: Sections, radius: FloatArray) -> FloatArray:
     """Solution of dT/ds = q - mu' T / r at the root; ``friction`` is mu'."""
     tension = np.zeros_like(friction)
     for force, length, _ in sections:
