@@ -58,11 +58,12 @@ def test_a_run_of_the_study_stores_its_tables_and_figures(tmp_path, monkeypatch)
 
 
 def test_the_whole_model_is_stable_up_to_the_limit(tmp_path, monkeypatch):
-    """The map alone; its limit is that of the study's model. `explicit` does not simulate the whole model."""
+    """The map alone, at one friction; its limit is the study's. `explicit` does not simulate the whole model."""
     scenes = []
     simulator = stability.Simulator
     monkeypatch.setattr(stability, "Simulator", lambda scene, *rest: scenes.append(scene) or simulator(scene, *rest))
-    cells = [("imex", 1e6, 10.0, 0.05, ratio) for ratio in (1.0, 4.4)] + [("explicit", 1e6, 10.0, 0.05, 1.0)]
+    cells = [("imex", 1e6, 10.0, 0.15, ratio) for ratio in (1.0, 4.4)]
+    cells += [("imex", 1e6, 10.0, 0.3, 1.0), ("explicit", 1e6, 10.0, 0.15, 1.0)]
     monkeypatch.setattr(stability, "cells", lambda: cells)
     table = stability.run(tmp_path, "whole")
     assert table["diverged_at_s"].notna().tolist() == [False, True]
