@@ -428,7 +428,7 @@ class Plant(Model):
         return required_root_tension(self.route, max(self.scenes, key=lambda scene: scene.tube.helix_diameter))
 
     def check_route(self, contexts: Sequence[Context] = (), fraction: float = 0.95) -> float:
-        """Least air supply rate [m3/s] with which the probe gets through the route; 0 without a route.
+        """Least air supply rate [m3/s] up to the length in the helix at which lost drive is scored; 0 without a route.
 
         Args:
             contexts: tubes; friction is taken at their quantile ``fraction`` and drag at 1 - ``fraction``, in the
@@ -459,7 +459,8 @@ class Plant(Model):
                 f" device, which would have to push with {-forces.feed[stop]:.2g} N: the most air of"
                 f" air_supply_rates is {3600.0 * maximum:.4g} m3/h, and {more} is enough for the whole route"
             )
-        return float(air.max())
+        scored_from = forces.tip[forces.in_helix].min() + self.config.lost_drive_from
+        return float(air[forces.tip <= scored_from].max())
 
     def bundle_for(self, config: TaskConfig) -> Bundle | None:
         """The bundle with its withdrawal as a time, for the helix and the route; 0 if the task has both passes."""
