@@ -50,7 +50,7 @@ CASES: dict[str, tuple[str, ...]] = {
     "evaluate-both-ways": (
         "evaluate both-ways own.csv --passes both --tube longer.toml --limit 1 --fidelity fast --output out",
     ),
-    "evaluate-any-probe": ("evaluate ppo-any-probe pi --probes random --limit 2 --fidelity fast --output out",),
+    "evaluate-random-probes": ("evaluate adaptive pi --probes random --limit 2 --fidelity fast --output out",),
     "evaluate-standard": ("evaluate pi --tube longer.toml --limit 1 --fidelity standard --output out",),
     "signal": ("signal best-schedule --fidelity standard --flaws 5.5:20 6.5:60 --until 10 --output out",),
     "compare": ("compare original improved --limit 2 --fidelity standard --output out",),

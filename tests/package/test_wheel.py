@@ -150,7 +150,7 @@ def test_installed_commands_beside_a_folder_agents(run, python, tmp_path, monkey
     site, code = python.parents[1], "import probe_env, probe_agents; print(probe_env.__file__, probe_agents.__file__)"
     assert all(Path(file).is_relative_to(site) for file in run("python", "-c", code)[0].split())
     assert run("probe-env", "--version")[0] == f"probe-env {version('probe-env')}\n"
-    assert "ppo-any-probe" in run("probe-env", "agents")[0]
+    assert "student" in run("probe-env", "agents")[0]
     assert "robustness" in run("probe-env", "study", "--list")[0]
     before = installed_files(site)
 

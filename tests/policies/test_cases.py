@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from probe_agents.evaluation.run import plan_of
+from probe_agents.policies.bundle import Agent
 from probe_agents.policies.cases import load_case, map_of, read_case, with_probe
 from probe_agents.policies.catalogue import make_policy
 from probe_agents.policies.on_map import MIN_AIR, best_schedule_for, knots, min_air
@@ -13,6 +14,7 @@ from probe_agents.policies.policy import Domain, OutsideDomain, ranges_of
 from probe_env import Context, Plant, Scene
 from probe_env.envs.plants import map_file
 from probe_env.envs.task.config import TaskConfig
+from probe_env.envs.task.scales import PROBE
 from probe_env.envs.vibration_map import VibrationMap, equivalent_air, stored_map
 from probe_env.physics.closed_forms import steady_root_tension
 
@@ -72,8 +74,12 @@ def test_policies_outside_their_domain_warn_or_are_refused(passes):
 
 def test_domains_cover_probes_and_the_range_of_the_map():
     config = OTHER.configured().full_observation
-    for spec, sees in (("ppo", False), ("ppo-any-probe", True), ("adaptive", True), ("tension-scheduled", False)):
-        deviations = make_policy(spec, config).domain.outside(config, [Context()])
+    ppo = make_policy("ppo", config)
+    view = ppo.description.view.model_copy(update={"observations": (*ppo.description.view.observations, *PROBE)})
+    informed = Agent(ppo.description.model_copy(update={"view": view}), ppo.policy, config)
+    laws = ((make_policy("adaptive", config), True), (make_policy("tension-scheduled", config), False))
+    for policy, sees in ((ppo, False), (informed, True), *laws):
+        deviations = policy.domain.outside(config, [Context()])
         assert any("probe: different" in line for line in deviations) == (not sees)
         assert any("helix_length 80 m (up to 60 m)" in line for line in deviations)
     whole = Domain.of_map(stored_map()).ranges

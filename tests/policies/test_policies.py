@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from probe_agents.policies.catalogue import NAMES, make_policy, name_and_spec, named_policies, user_policies
+from probe_agents.policies.catalogue import NAMES, REPLACED, make_policy, name_and_spec, named_policies, user_policies
 from probe_agents.policies.fixed import PI, Constant, OnOff, SlowDown
 from probe_agents.training.config import Training
 from probe_env.envs.task.config import TaskConfig
@@ -78,6 +78,9 @@ def test_agents_and_schedules_that_ship_go_by_name():
         make_policy("ppo@9", CONFIG)
     with pytest.raises(ValueError, match=r"unknown policy 'pppo'. Did you mean ppo\? `probe-env agents` lists all"):
         make_policy("pppo", CONFIG)
+    for removed, successor in REPLACED.items():
+        with pytest.raises(ValueError, match=f"unknown policy '{removed}@1'. It was removed: use {successor}. `probe"):
+            make_policy(f"{removed}@1", CONFIG)
 
 
 def test_fixed_laws_do_what_they_are_called():

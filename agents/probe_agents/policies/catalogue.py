@@ -34,6 +34,8 @@ BY_DIAMETER: Final = "best-schedule-by-diameter"
 NAMES: Final = (*BUILT_IN, *STORED, BY_DIAMETER, *MAP_POLICIES, *LAWS, *PLANNERS)
 CLASS: Final = re.compile(r"(?P<module>[A-Za-z_][\w.]*):(?P<name>[A-Za-z_]\w*)")
 """A policy class of the user: importable module, class name."""
+REPLACED: Final = {"ppo-any-probe": "adaptive"}
+"""Removed policies and what replaced them."""
 
 
 def named_policies(
@@ -141,9 +143,10 @@ def make_policy(spec: str, config: TaskConfig, vibration: VibrationMap | None = 
             raise ValueError(f"policy = {spec!r}: a class imports code, which specs from a file must not do")
         return _custom(config, **custom.groupdict())
     names = (*NAMES, *shipped_agents(), *shipped_names("schedules"))
-    similar = " or ".join(difflib.get_close_matches(spec, names))
+    similar, successor = " or ".join(difflib.get_close_matches(spec, names)), REPLACED.get(spec.partition("@")[0])
+    hint = f" It was removed: use {successor}." if successor else f" Did you mean {similar}?" * bool(similar)
     raise ValueError(
-        f"unknown policy {spec!r}." + f" Did you mean {similar}?" * bool(similar) + " `probe-env agents` lists all;"
+        f"unknown policy {spec!r}.{hint} `probe-env agents` lists all;"
         f" files end with {', '.join(FILES)}, and a class is module:Class"
     )
 
