@@ -183,14 +183,16 @@ class Scene(Model):
 
     def whole(self) -> Self:
         """The scene with all that the study leaves out: weight, expanding air, ``terms``, couple from the tangent."""
-        return self.model_copy(
-            update={
-                "contact": {"weight": True},
-                "air": {"compressible": True},
-                "couple": "tangent",
-                "terms": dict.fromkeys(Terms.model_fields, True),
-            }
-        )
+        return self._with_terms(True, "tangent")
+
+    def study(self) -> Self:
+        """The scene without them, the study's model."""
+        return self._with_terms(False, "frame")
+
+    def _with_terms(self, on: bool, couple: str) -> Self:
+        terms = dict.fromkeys(Terms.model_fields, on)
+        update = {"contact": {"weight": on}, "air": {"compressible": on}, "terms": terms, "couple": couple}
+        return self.model_copy(update=update)
 
     @classmethod
     def fitted(cls, values: Mapping[str, Any]) -> Self:

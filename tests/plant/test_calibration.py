@@ -9,17 +9,18 @@ import emcee
 import numpy as np
 import pytest
 from oracles.scatter import CHANCE, of_another
+from rig import rig_logs, write_log
 from scipy.stats import chi2, norm
 
 from probe_agents.cli import main
 from probe_agents.plant import inference
-from probe_agents.plant.calibration import read_cases, tube_file
+from probe_agents.plant.calibration import calibrate, read_cases, tube_file
 from probe_agents.plant.inference import LIMIT, Likelihood, LogCase, fit_gain, fit_sliding, sample_posterior
 from probe_agents.plant.logs import Log
 from probe_agents.plant.prior import DAMPING, DRAG, FRICTION, STIFFNESS, prior_of
 from probe_agents.plant.response import CHANNELS, Metres, metres_of, observed, steady_tension, stored_response
 from probe_agents.records.cells import ReadOptions
-from probe_env import Plant, Scene
+from probe_env import Context, Plant, Scene
 from probe_env.files import FileError
 
 RESPONSE, PRIOR = stored_response(), prior_of(Plant())
@@ -36,7 +37,7 @@ def short(monkeypatch, request):
 
 def log_like(truth, rng, diameter=1.3, tube="", length=LENGTH, channels=CHANNELS, gain=1.0):
     """A log at a truth (4,): drawn from the response, or without scatter if there is no generator."""
-    scene = Scene.fitted({"tube": {"helix_diameter": diameter}})
+    scene = Scene.fitted({"tube": {"helix_diameter": diameter}}).whole()
     feed = np.interp(length, [5.0, 20.0, 50.0], [0.3, 0.2, 0.1])
     air = np.interp(length, [5.0, 30.0, 50.0], [0.018, 0.025, 0.03])
     mean, spread = RESPONSE.predict(truth[None], Metres(length, feed, air, {}), scene)
@@ -75,7 +76,7 @@ def test_the_prior_is_what_the_file_says():
     for tables, problem in [
         ({"contact": {"friction": {"low": 0.1, "high": 0.6}}}, "contact.friction = 0.6 is outside 0.05 to 0.35"),
         ({"contact": {"stiffness": 1e6}}, r"contact.stiffness = 1e\+06 N/m is outside 50000 to 190000 N/m"),
-        ({"probe": {"damping_time": 1e-5}}, "probe.damping_time = 1e-05 s is outside 4.5e-05 to 0.00012 s"),
+        ({"probe": {"damping_time": 1e-5}}, "probe.damping_time = 1e-05 s is outside 3e-05 to 0.00012 s"),
         ({"air": {"drag_coefficient": {"mean": 3.0, "std": 0.1}}}, "air.drag_coefficient = 3 is outside 0.1 to 2"),
     ]:
         with pytest.raises(ValueError, match=f"mine.toml: {problem}"):
@@ -233,10 +234,10 @@ def test_excess_gain_of_a_gauge_is_found():
 
 def sliding_log(friction, drag, bore, noise=0.0):
     """A log of steady sliding: feed and air change over 50 m."""
-    scene = Scene.fitted({"tube": {"inner_diameter": bore, "helix_diameter": 1.4}})
+    scene = Scene.fitted({"tube": {"inner_diameter": bore, "helix_diameter": 1.4}}).whole()
     length = np.arange(5.5, 55.0)
     bare = Metres(length, np.linspace(0.3, 0.1, len(length)), 0.02 + 0.005 * np.sin(length / 5.0), {})
-    tension = drag * steady_tension(np.full((1, 1), friction), bare, scene)[0] * np.exp(noise)
+    tension = steady_tension(np.full((1, 1), friction), bare, scene, drag)[0] * np.exp(noise)
     return with_measurements(LogCase("log", "", scene, bare), {"root_tension": tension})
 
 
@@ -290,6 +291,27 @@ def test_the_shipped_log_is_calibrated(short, tmp_path, capsys):
     plant = Plant.from_toml(tube_path)
     assert plant.scene.contact.friction == pytest.approx(record["friction"]["mean"], abs=0.01)
     assert plant.bundle == Plant.from_toml("configs/tubes/example.toml").bundle is not None
+
+
+@pytest.mark.slow
+def test_logs_of_a_rig_with_stops_and_creeps(short, tmp_path):
+    """Friction is found in logs of the whole model; in those of the study's model the cause is told.
+
+    The 90 % intervals of eight such logs reach 0.015 to either side at most, so a standard deviation is 0.009, and an
+    error of four of them is rarer than 1e-4.
+    """
+    tubes = [Context(friction=0.13, helix_diameter=1.3), Context(friction=0.2, helix_diameter=1.3)]
+    for assumptions, halts in (("whole", [{12.0: 0.0, 30.0: 0.0}, {20.0: 0.01, 40.0: 0.0}]), ("study", [{}, {}])):
+        plant = Plant(assumptions=assumptions, tube={"helix_diameter": 1.3}, task={"lost_drive_periods": 1000})
+        logs = rig_logs(tubes, halts, plant, "fast", 7)
+        paths = [write_log(tmp_path / f"{assumptions}-{k}.csv", log) for k, log in enumerate(logs)]
+        for path, tube in zip(paths, tubes, strict=True):
+            fit = calibrate(read_cases([path], Plant(), [1.3], []), Plant(), RESPONSE, progress=False)
+            if assumptions == "study":
+                assert "as in the study's model" in fit.misfits[0]
+            else:
+                assert fit.misfits == []
+                assert fit.summary("friction")["mean"] == pytest.approx(tube.friction, abs=0.036)
 
 
 def test_tube_file_keeps_tables_and_replaces_calibration(tmp_path):

@@ -45,11 +45,11 @@ def acted(actions, friction, config=CONFIG, **options):
 
 
 def tensions(actions, friction, scene=CONFIG.scene):
-    """Steady root tension of actions (N, 2)."""
+    """Steady root tension of actions (N, 2), as the feed device feels it."""
     feed, air = CONFIG.targets(actions).T
     one = np.ones(len(feed))
     seen = {"inserted_length": 40.0 * one, "feed_speed": feed, "air_supply_rate": air, "helix_diameter": 1.2 * one}
-    return sliding_tension(friction * one, seen, scene)
+    return sliding_tension(friction * one, seen, scene) - entrance_tension(scene, 1.2 * one)
 
 
 def test_shield_changes_only_targets_below_the_margin():

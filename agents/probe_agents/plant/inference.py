@@ -258,10 +258,14 @@ class GainLikelihood:
 
 
 class Sliding(NamedTuple):
-    """Friction and drag coefficient of a tube with 90 % intervals, (mean, low, high) each."""
+    """Friction and drag coefficient of a tube with 90 % intervals, (mean, low, high) each.
+
+    ``scatter`` is the standard deviation of the tension from the closed form, relative.
+    """
 
     friction: tuple[float, float, float]
     drag_coefficient: tuple[float, float, float]
+    scatter: float
 
 
 def fit_sliding(cases: Sequence[LogCase], prior: Prior) -> Sliding | None:
@@ -301,4 +305,5 @@ def fit_sliding(cases: Sequence[LogCase], prior: Prior) -> Sliding | None:
 
     centres = np.exp(fit.x) * (1.0, middle)
     rows = np.column_stack([centres, centres * np.exp(-Z90 * deviation), centres * np.exp(Z90 * deviation)])
-    return Sliding(*rows.tolist())
+    friction, drag = (tuple(row) for row in rows.tolist())
+    return Sliding(friction, drag, float(left.std()))

@@ -15,8 +15,8 @@ from probe_env.files import FileError
 
 FRICTION: Final = (0.05, 0.35)
 STIFFNESS: Final = (5e4, 1.9e5)  # [N/m]
-DAMPING: Final = (4.5e-5, 1.2e-4)
-"""[s]; with less the scheme of ``fast`` and ``standard`` diverged at 2e-4 s in some training tubes."""
+DAMPING: Final = (3e-5, 1.2e-4)
+"""[s]; that of the response's training."""
 DRAG: Final = (0.85, 1.15)
 """Range of the drag coefficient, relative to the value of the plant or of table 2, if no range is given."""
 

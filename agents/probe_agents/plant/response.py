@@ -22,7 +22,7 @@ from probe_env import Scene
 from probe_env.arrays import FloatArray
 from probe_env.envs.vibration_map import Layers, distribution_of
 from probe_env.files import FileError, read_arrays
-from probe_env.physics.closed_forms import drag_per_metre, sliding_tension
+from probe_env.physics.closed_forms import drag_per_metre, entrance_tension, sliding_tension
 from probe_env.physics.model.chain import air_speed
 
 STORED: Final = Path(__file__).parent / "data" / "response.npz"
@@ -151,7 +151,10 @@ class Response:
                 texts.append(f"{name} {values.min():.4g} to {values.max():.4g} {unit}, beyond {low:.4g} to {high:.4g}")
         standard, probe = Scene().probe.model_dump(), scene.probe.model_dump()
         others = [name for name in standard if name != "damping_time" and probe[name] != standard[name]]
-        return texts + ([f"probe with different {', '.join(others)}"] if others else [])
+        texts += [f"probe with different {', '.join(others)}"] if others else []
+        return texts + (
+            [] if scene == scene.whole() else ["assumptions = 'study' of the plant: it is of the whole model"]
+        )
 
     def covariance(self, length: FloatArray, chosen: list[int]) -> FloatArray:
         """(m c, m c) of the standardised deviations of metres at inserted lengths (m,) [m], for some channels."""
@@ -200,10 +203,11 @@ class Response:
 
 
 def steady_tension(friction: FloatArray, metres: Metres, scene: Scene, drag: FloatArray | float = 1.0) -> FloatArray:
-    """Root tension (n, m) of steady sliding [N] for frictions (n, 1) and factors of the drag (n, 1)."""
+    """Root tension (n, m) of steady sliding that the feed device feels [N]; friction and factor of the drag (n, 1)."""
     diameter = np.full(len(metres), scene.tube.helix_diameter)
     observation = {"inserted_length": metres.length, "feed_speed": metres.feed, "air_supply_rate": metres.air}
-    return sliding_tension(friction, observation | {"helix_diameter": diameter}, scene, drag)
+    tension = sliding_tension(friction, observation | {"helix_diameter": diameter}, scene, drag)
+    return np.asarray(tension - entrance_tension(scene, diameter))
 
 
 def inputs_of(table: FloatArray, metres: Metres, scene: Scene) -> tuple[FloatArray, FloatArray]:

@@ -11,7 +11,7 @@ from probe_agents.policies.policy import Domain, ObservationPolicy, Policy
 from probe_env.arrays import BoolArray, FloatArray
 from probe_env.envs.task.config import TaskConfig
 from probe_env.envs.task.observations import in_si_units
-from probe_env.physics.closed_forms import friction_from_tension, rising_root, sliding_tension
+from probe_env.physics.closed_forms import entrance_tension, friction_from_tension, rising_root, sliding_tension
 from probe_env.physics.model.chain import air_speed
 from probe_env.schedule import Schedule
 
@@ -83,10 +83,11 @@ class Shielded(ObservationPolicy):
         """(N, 2) feed speed [m/s] and air supply [m3/s] nearest to the targets (N, 2) that satisfy the margin."""
         config, air_speed_of_unit = self.config, air_speed(self.config.scene, 1.0)
         none = np.zeros(len(targets))
+        required = self.margin * config.required_tension + entrance_tension(config.scene, measured["helix_diameter"])
 
         def excess(square: FloatArray) -> FloatArray:
             drive = {"feed_speed": none, "air_supply_rate": np.sqrt(square) / air_speed_of_unit}
-            return sliding_tension(friction, measured | drive, config.scene) - self.margin * config.required_tension
+            return sliding_tension(friction, measured | drive, config.scene) - required
 
         needed = np.sqrt(rising_root(excess, none, none + (config.air_supply_rates[1] * air_speed_of_unit) ** 2))
         feed, air = targets.T

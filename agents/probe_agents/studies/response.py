@@ -208,7 +208,7 @@ def learning_rows(bank: Bank) -> tuple[FloatArray, FloatArray]:
         length, feed, air = (bank[name][rows] for name in ("length", "feed", "air"))
         metres = Metres(length, feed, air, {name: bank[name][rows] for name in CHANNELS})
         tube = {n: float(bank[n][rows[0]]) for n in ("inner_diameter", "helix_diameter")}
-        scene = Scene.fitted({"tube": tube | {"helix_length": 1e3}})
+        scene = Scene.fitted({"tube": tube | {"helix_length": 1e3}}).whole()
         drag = scene.air.drag_coefficient * bank["drag_factor"][rows[0]]
         table = np.array(
             [[*(bank[n][rows[0]] for n in ("friction", "contact_stiffness")), drag, bank["damping_time"][rows[0]]]]

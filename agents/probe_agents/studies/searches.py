@@ -40,7 +40,7 @@ from probe_env.envs.task.rules import metre_reward, uninspected_weight
 from probe_env.envs.task.scales import RF_FLOOR, value_at
 from probe_env.envs.vibration_map import CONTEXT, VibrationMap, check_measure, expected_cost, feeds, stored_map
 from probe_env.fidelity import resolve_fidelity
-from probe_env.physics.closed_forms import sliding_tension
+from probe_env.physics.closed_forms import entrance_tension, sliding_tension
 from probe_env.schedule import AIR, CSV_COMMENT, FEED, INSERTION, WITHDRAWAL, Schedule
 
 
@@ -452,6 +452,7 @@ def quasi_steady_rewards(policy: FixedPolicy, tubes: Sequence[Context], vibratio
             "helix_diameter": column["helix_diameter"], "time": np.full(count, step * dt),
         }  # fmt: skip
         tension = sliding_tension(column["friction"], observation, config.scene, column["drag_factor"])
+        tension -= entrance_tension(config.scene, column["helix_diameter"])
         feed, air = policy.targets(observation | {"root_tension": tension}, memory)
         left = np.maximum(end - length, 0.0)
         travel = np.minimum(feed * dt, left)
