@@ -1,4 +1,4 @@
-"""Closed forms of steady sliding, buckling and a straight section; those without a tube are in ``bare_chains``.
+"""Closed forms of steady sliding and buckling; those without a tube are in ``bare_chains``.
 
 Policies use them to estimate friction, tests to check simulations.
 """
@@ -17,7 +17,6 @@ from probe_env.physics.model.chain import GRAVITY as GRAVITY
 from probe_env.physics.model.chain import air_pressure as air_pressure
 from probe_env.physics.model.chain import air_speed, build_chain, drag_factors, wall_losses
 from probe_env.scene import Probe, Scene
-from probe_env.settings import within
 
 MEASURED: Final = ("root_tension", "inserted_length", "feed_speed", "air_supply_rate", "helix_diameter")
 """Measurements from which friction is estimated, SI units."""
@@ -109,30 +108,6 @@ def drag_per_metre(scene: Scene) -> float:
     """Drag of the carrier's floats per metre, divided by the square of the relative air speed [N s2/m3], after (10)."""
     probe = scene.probe
     return float(_drag_per_metre(scene, np.array(probe.carrier_float_diameter), np.array(probe.float_pitch)))
-
-
-def tension_for_straight(scene: Scene, length: float, incline: float = math.pi / 2.0) -> float:
-    """Least root tension in the helix [N] that pulls the cable through a straight part behind the feed device.
-
-    At constant speed the feed device restrains the cable with T - (m g (sin a + mu cos a) - q) L, with the root tension
-    T in the helix, the cable's weight m g and the drag q per metre. It cannot push, so this force must not be negative.
-    Bends between the two divide it by exp(mu phi), which does not change its sign. Compressible air is denser in the
-    straight part, and its drag is less.
-
-    Args:
-        scene: probe, air, friction, feed speed and air supply; the straight part has the bore of its tube.
-        length: of the straight part [m].
-        incline: angle a of the direction of insertion to the horizontal [rad]: pi / 2 is upwards, -pi / 2 downwards.
-    """
-    within("length", length, 0.0, 1e4, "m")
-    within("incline", incline, -math.pi / 2.0, math.pi / 2.0, "rad")
-    exit_speed = air_speed(scene, scene.air_supply_rate)
-    wind = exit_speed - scene.feed_speed
-    weight = scene.probe.line_density * GRAVITY
-    uphill = weight * (math.sin(incline) + scene.contact.friction * math.cos(incline))
-    ends = scene.inserted_length + np.array([0.0, length])
-    factor = float(drag_factors(scene, ends, scene.inserted_length, scene.feed_speed, exit_speed)[0])
-    return max(uphill - factor * drag_per_metre(scene) * wind * abs(wind), 0.0) * length
 
 
 def friction_from_tension(measurements: Mapping[str, FloatArray], scene: Scene) -> FloatArray:

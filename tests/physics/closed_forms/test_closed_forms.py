@@ -13,7 +13,6 @@ from probe_env.physics.closed_forms import (
     friction_from_tension,
     sliding_tension,
     steady_root_tension,
-    tension_for_straight,
 )
 from probe_env.physics.methods.newmark import newmark
 from probe_env.physics.model.chain import air_pressure, air_speed
@@ -160,23 +159,3 @@ def test_coulomb_oscillator_loses_a_fixed_amplitude():
     amplitudes = np.abs(np.concatenate([[start], x[turns]]))[:5]
     drop = 2.0 * mu * normal / k_x
     assert np.diff(amplitudes) == pytest.approx(-drop, rel=2.0 * omega * dt * start / drop)
-
-
-def test_a_straight_part_takes_what_its_balance_says():
-    """Table 2's probe, by hand: 0.111 kg/m; drag of 10 floats a metre of 19 mm on a cable of 8.35 mm, after (10)."""
-    scene = Scene(air_supply_rate=63.0 / 3600.0, feed_speed=0.2)
-    tube, air, probe = scene.tube, scene.air, scene.probe
-    wind = (63.0 / 3600.0) / (math.pi / 4.0 * (tube.inner_diameter**2 - probe.cable_diameter**2)) - 0.2
-    frontal = math.pi / 4.0 * (probe.carrier_float_diameter**2 - probe.cable_diameter**2)
-    drag = 10.0 * 0.5 * air.drag_coefficient * air.density * frontal * wind**2
-    weight = 0.111 * 9.80665
-    assert tension_for_straight(scene, 30.0) == pytest.approx(30.0 * (weight - drag), rel=1e-12)
-    assert 0.8 / tension_for_straight(scene, 1.0) == pytest.approx(5.8, abs=0.05)
-    assert tension_for_straight(scene.model_copy(update={"air_supply_rate": 68.0 / 3600.0}), 30.0) == 0.0
-    still, slope = scene.model_copy(update={"air_supply_rate": 0.0, "feed_speed": 0.0}), 0.3
-    along = weight * (math.sin(slope) + scene.contact.friction * math.cos(slope))
-    assert tension_for_straight(still, 2.0, slope) == pytest.approx(2.0 * along, rel=1e-12)
-    assert tension_for_straight(still, 2.0, -math.pi / 2.0) == 0.0  # it hangs
-    for wrong, text in (((-1.0,), "length = -1"), ((1.0, 2.0), "incline = 2")):
-        with pytest.raises(ValueError, match=text):
-            tension_for_straight(scene, *wrong)

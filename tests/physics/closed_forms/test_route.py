@@ -8,8 +8,9 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 from probe_env import Scene
-from probe_env.physics.closed_forms import GRAVITY, steady_root_tension, tension_for_straight
+from probe_env.physics.closed_forms import GRAVITY, drag_per_metre, steady_root_tension
 from probe_env.physics.closed_forms.route import Segment, min_air, required_root_tension, route_forces
+from probe_env.physics.model.chain import air_speed
 
 HELIX, RISING = Segment(helix=True), Segment(length=12.0, slope=90.0)
 AREA = math.pi / 4.0 * (0.0242**2 - 0.00835**2)
@@ -46,8 +47,10 @@ def test_a_bend_divides_or_multiplies_as_a_capstan_does(direction):
 @pytest.mark.parametrize("slope", [90.0, 30.0])
 def test_min_air_balances_a_straight_part(slope):
     route = (Segment(length=12.0, slope=slope), HELIX)
-    minimum = SCENE.model_copy(update={"air_supply_rate": float(min_air(route, SCENE)[-1])})
-    needed = tension_for_straight(minimum, 12.0, math.radians(slope))
+    minimum = float(min_air(route, SCENE)[-1])
+    uphill = math.sin(math.radians(slope)) + SCENE.contact.friction * math.cos(math.radians(slope))
+    wind = air_speed(SCENE, minimum) - SCENE.feed_speed
+    needed = 12.0 * (SCENE.probe.line_density * GRAVITY * uphill - drag_per_metre(SCENE) * wind**2)
     assert needed > 1.0
     assert required_root_tension(route, SCENE) == pytest.approx(needed, rel=1e-6)
     thin = {"air": {"drag_coefficient": 0.3}, "feed_speed": 0.05}

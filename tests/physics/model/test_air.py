@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from probe_env import Scene, Simulator
-from probe_env.physics.closed_forms import steady_root_tension, steady_tensions, tension_for_straight
+from probe_env.physics.closed_forms import steady_root_tension, steady_tensions
 from probe_env.physics.methods import METHODS
 from probe_env.physics.model.chain import air_pressure, air_speed, drag_factors
 
@@ -99,14 +99,6 @@ def test_methods_simulate_compressible_air_or_refuse_it(method):
     runs = [Simulator(s, method, kind.usual_step).run(0.02, points=("root",)) for s in (uniform, scene)]
     tension = [run.tension[:, 0].mean() for run in runs]
     assert 0.9 * tension[0] < tension[1] < 0.999 * tension[0]
-
-
-def test_straight_part_in_expanding_air():
-    """Its drag is the loss of pressure along it, upstream of the helix."""
-    scene = Scene(carrier_length=27.5, air=EXPANDING)
-    ends = pressure_of(scene, [30.0, 50.0])
-    expected = 20.0 * 0.111 * 9.80665 - AREA * (ends[1] - ends[0])
-    assert tension_for_straight(scene, 20.0) == pytest.approx(expected, rel=1e-9)
 
 
 def test_steady_sliding_with_weight():
