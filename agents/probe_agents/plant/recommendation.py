@@ -55,9 +55,6 @@ CONFIDENCE: Final = 0.95
 """... in this share of the samples."""
 INTERVAL: Final = 0.05, 0.95
 """Quantiles of the samples' expected rewards."""
-MODEL_CHANGE: Final = -9.4
-"""Change of the reward of ``best-schedule`` if air expands and the cable has weight, which the response neglects: mean
-over 12 tubes of ``--tube fresh`` at ``fast``, 95 % interval -17.6 to -3.5 (results/effects/ranking/comparison.csv)."""
 NAME: Final = "recommended"
 LAW: Final = "recommended-law"
 BASELINES: Final = ("best-schedule", "tension-scheduled")
@@ -130,7 +127,7 @@ def recommend(
     write_atomically(output, optimum.schedule.to_csv())
     low, high = optimum.interval
     figures = {"expected_reward": optimum.reward, "expected_reward_low": low, "expected_reward_high": high}
-    figures |= {"model_change_study_tubes": MODEL_CHANGE, "least_root_tension_n": optimum.tension}
+    figures["least_root_tension_n"] = optimum.tension
     write_description(output, plant, len(case.contexts), figures)
     named = [f"{NAME}={output}"]
     if law:
@@ -142,9 +139,6 @@ def recommend(
         f"{output}: in your tubes about {seconds:.0f} s, expected reward {optimum.reward:.1f}"
         f" (90 % of {len(case.contexts)} samples: {low:.1f} to {high:.1f}); drive safe: root tension above"
         f" {optimum.tension:.2g} N in {CONFIDENCE:.0%}"
-    )
-    print_line(
-        f"not included: expanding air and weight change best-schedule in the study's tubes by {MODEL_CHANGE:+.1f}"
     )
     print_start_air(start_air, case.config)
     if confirmation:
