@@ -1,5 +1,7 @@
 """Effects of the parts of the whole model: scenes, means without diverged members, onset, closed form."""
 
+from pathlib import Path
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -9,6 +11,7 @@ from probe_agents.studies.effects import MODELS, ONSET, PARTS, Effect
 from probe_env import Scene, StabilityWarning
 from probe_env.fidelity import PRESETS, Fidelity
 
+FOLDER = Path(__file__).parents[2] / "results" / "effects"
 KEYS = {"friction": 0.1, "model": "study"}
 
 
@@ -19,6 +22,14 @@ def test_the_parts_together_are_the_whole_model():
     for part, changes in PARTS.items():
         assert scenes[f"whole without {part}"].model_copy(update=changes) == scenes["whole"]
         assert len({scenes[part], scenes[f"whole without {part}"], scenes["study"], scenes["whole"]}) == 4
+
+
+@pytest.mark.parametrize("model", ["study", "whole"])
+def test_stored_root_tension_is_that_of_the_present_code(model):
+    """Without vibration; four digits are stored."""
+    stored = pd.read_csv(FOLDER / "effects.csv").set_index(["friction", "carrier_length_m", "model"])
+    rows = pd.DataFrame(Effect(0.1, 5.0, model, 2).rows())
+    assert rows["tension_mean_n"].mean() == pytest.approx(stored.loc[(0.1, 5.0, model), "tension_mean_n"], rel=1e-3)
 
 
 def test_diverged_members_are_counted_and_not_averaged(monkeypatch):
