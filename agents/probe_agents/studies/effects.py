@@ -69,7 +69,7 @@ class Effect(Run):
         return table.rename_axis("member").reset_index().to_dict("records")  # type: ignore[return-value]
 
 
-def run(output: Path, trials: int = 24, workers: Workers = HERE) -> pd.DataFrame:
+def run(output: Path, trials: int = 16, workers: Workers = HERE) -> pd.DataFrame:
     """Run what is not stored, with ``trials`` members; writes members.csv, effects.csv, onset.csv, root-tension.csv."""
     runs = [Effect(*key, members=trials) for key in product(FRICTIONS, LENGTHS, MODELS)]
     store = Store(output / "members.csv", (*runs[0].key, "member"))
@@ -104,9 +104,8 @@ def onsets(members: pd.DataFrame) -> pd.DataFrame:
 
 def root_tensions() -> pd.DataFrame:
     """Closed form of the root tension over that of the study's model, by air supply, friction and length."""
-    rows = []
-    for air, friction, length in product(AIRS, FRICTIONS, (0.5, *LENGTHS, 57.5)):
-        tensions = {model: steady_root_tension(Effect(friction, length, model, 1).scene(air)) for model in ALONE}
-        ratios = {model: tension / tensions["study"] for model, tension in tensions.items()}
-        rows.append({"air_m3_per_h": air, "friction": friction, "carrier_length_m": length} | ratios)
-    return pd.DataFrame(rows)
+    lengths, names = (0.5, *LENGTHS, 57.5), ("air_m3_per_h", "friction", "carrier_length_m")
+    cases = pd.MultiIndex.from_product((AIRS, FRICTIONS, lengths), names=names)
+    tensions = [[steady_root_tension(Effect(mu, x, model, 1).scene(air)) for model in ALONE] for air, mu, x in cases]
+    table = pd.DataFrame(tensions, cases, list(ALONE))
+    return table.div(table["study"], axis=0).reset_index()
