@@ -228,11 +228,7 @@ REFUSED = [
     (MAPPED | {"config": {"sensor_dropout": 0.1}}, None, "without sensor_dropout"),
     (MAPPED | {"scene": {"tube": {"helix_length": 80.0}}}, None, "helix_length = 80 m \\(the map ends at 60 m\\)"),
     (MAPPED | {"scene": probe_env.Scene()}, None, "without contact.weight = False, air.compressible = False, couple"),
-    (
-        MAPPED | {"surrogate_map": "configs/tubes/snr-map.npz", "scene": probe_env.Scene()},
-        None,
-        "but the map is of snr",
-    ),
+    (MAPPED | {"surrogate_map": "configs/tubes/snr-map.npz"}, None, "but the map is of snr"),
 ]
 
 
