@@ -182,7 +182,7 @@ def test_report_needs_no_network_and_escapes_names(page):
     parser.handle_starttag = lambda tag, attributes: tags.append((tag, attributes))
     parser.feed(page)
     addresses = [value for _, given in tags for name, value in given if name in ("src", "href", "action")]
-    assert len(addresses) == 7  # four pictures, three schedules
+    assert len(addresses) == 8  # five pictures, three schedules
     assert all(address.startswith("data:") for address in addresses)
     assert [name for name, _ in tags].count("script") == page.count("</script>") == 3
     data = re.search(r'<script type="application/json" id="data">(.*?)</script>', page, re.DOTALL)[1]

@@ -111,6 +111,45 @@ def test_the_share_of_the_planners_lead():
         statistics.fraction_of_lead(table[(table["policy"] != "mine") | (table["context"] > 0)], "mine")
 
 
+def runs_of(**rewards):
+    """Episodes of policies by their rewards, a row per tube and in it one per training seed."""
+    rows = [
+        {"policy": policy, "context": context, "seed": 0, "training_seed": seed, "reward": reward}
+        for policy, tubes in rewards.items() for context, runs in enumerate(tubes) for seed, reward in enumerate(runs)
+    ]  # fmt: skip
+    return pd.DataFrame(rows)
+
+
+def test_probability_of_improvement_over_tubes_and_runs():
+    """Pairs of runs: 1 won, 1 drawn and 2 lost in one tube, 4 won in the other.
+
+    Of 30 tubes with one run each and 20 won, the number won in a resample is binomial: fewer than 15 have a chance of
+    1.9 %, at most 15 of 4.3 %, and the upper end likewise; of 2,000 draws 2.5 % are 2 and 4 deviations from both.
+    """
+    table = runs_of(a=[[3.0, 1.0], [5.0, 6.0]], b=[[3.0, 2.0], [1.0, 2.0]])
+    forth, back = (statistics.probability_of_improvement(table, *pair) for pair in (("a", "b"), ("b", "a")))
+    assert (forth.mean, back.mean) == (pytest.approx(0.5 * (1.5 / 4.0 + 1.0)), pytest.approx(0.5 * (2.5 / 4.0)))
+    assert not statistics.probability_of_improvement(runs_of(a=[[1.0]], b=[[0.0]]), "a", "b").low <= 1.0  # no interval
+    won = runs_of(a=[[1.0]] * 20 + [[-1.0]] * 10, b=[[0.0]] * 30)
+    interval = statistics.probability_of_improvement(won, "a", "b")
+    assert (30.0 * interval.low, 30.0 * interval.high) == (15.0, 25.0)
+    seeds = runs_of(a=[[1.0, -1.0]] * 30, b=[[0.0]] * 30)  # a seed is drawn for all tubes: none, one or both win
+    assert astuple(statistics.probability_of_improvement(seeds, "a", "b")) == (0.5, 0.0, 1.0)
+    for other, message in (
+        ([[0.0]], "not run in the same tubes"),
+        ([[0.0], [0.0, 1.0]], "b was not run equally often"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            statistics.probability_of_improvement(runs_of(a=[[1.0], [2.0]], b=other), "a", "b")
+
+
+def test_performance_profile_counts_tubes_above_a_reward():
+    table = runs_of(a=[[3.0, 1.0], [5.0, 6.0]])
+    profile = statistics.performance_profile(table, "a", np.array([0.0, 1.0, 3.0, 5.5, 6.0]))
+    assert profile.tolist() == [1.0, 0.75, 0.5, 0.25, 0.0]
+    assert len(figures.performance_profiles(table)) > 5000
+
+
 def test_summary_endings_and_training_seeds():
     table = synthetic(41.0)
     table.loc[0, ["complete", "lost_drive"]] = 0.0, 1.0

@@ -12,6 +12,7 @@ from probe_agents.policies.catalogue import make_policy
 from probe_agents.policies.on_map import MIN_AIR, best_schedule_for, knots, min_air
 from probe_agents.policies.policy import Domain, OutsideDomain, ranges_of
 from probe_env import Context, Plant, Scene
+from probe_env.envs.contexts import HELIX_DIAMETERS
 from probe_env.envs.plants import map_file
 from probe_env.envs.task.config import TaskConfig
 from probe_env.envs.task.scales import PROBE
@@ -86,6 +87,20 @@ def test_domains_cover_probes_and_the_range_of_the_map():
     assert ranges_of("random") == whole
     for name, (low, high) in ranges_of("train").items():
         assert whole[name][0] <= low < high <= whole[name][1]
+
+
+def test_difficulties_are_within_what_policies_were_made_for():
+    wide, disturbed = (read_case(Path(name), "test", 6) for name in ("easy", "hard"))
+    for case in (wide, disturbed):
+        plan_of(["best-schedule", "adaptive", "ppo"], case, 1, "fast", strict=True)  # no error and no warning
+    assert {tube.helix_diameter for tube in wide.contexts} == {1.7, 2.0, 2.5}
+    assert {tube.helix_diameter for tube in disturbed.contexts} == set(HELIX_DIAMETERS)
+    usual = wide.config.model_dump(exclude={"scene", "sensor"})
+    changed = {name: value for name, value in disturbed.config.model_dump().items() if usual.get(name, value) != value}
+    assert changed == {
+        "rf_noise": 0.1, "tension_noise": 0.04, "delay_periods": 1, "sensor_dropout": 0.2, "friction_drift": -0.3,
+        "air_lag": 2.0,
+    }  # fmt: skip
 
 
 def test_a_hundredth_of_the_range_is_no_other_tube():
@@ -178,7 +193,7 @@ def test_a_file_that_is_not_valid_or_not_there_is_named(tmp_path, refused):
     assert read_case(Path("example"), "test", 3).config.scene.tube.helix_length == 45.0
     with pytest.raises(FileNotFoundError) as missing:
         read_case(Path("nowhere.toml"), "test")
-    assert "shipped tubes: example" in missing.value.hint
+    assert "shipped tubes: easy, example" in missing.value.hint
 
 
 def test_probe_with_a_longer_guide_fits_a_full_helix():

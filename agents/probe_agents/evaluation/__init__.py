@@ -7,9 +7,16 @@ from probe_env.lazy import lazy
 if TYPE_CHECKING:
     from probe_agents.evaluation.plan import Plan, run_plan
     from probe_agents.evaluation.run import evaluate
-    from probe_agents.evaluation.statistics import Interval, paired_difference, summarise
+    from probe_agents.evaluation.statistics import (
+        Interval,
+        paired_difference,
+        performance_profile,
+        probability_of_improvement,
+        summarise,
+    )
 
 __all__ = [
-    "Interval", "Plan", "evaluate", "paired_difference", "run_plan", "summarise",
+    "Interval", "Plan", "evaluate", "paired_difference", "performance_profile", "probability_of_improvement",
+    "run_plan", "summarise",
 ]  # fmt: skip
 __getattr__, __dir__ = lazy(__name__)

@@ -6,6 +6,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 
+from probe_agents.evaluation.statistics import performance_profile
 from probe_agents.records.drawing import BLUE, GREY, MM, RED, escape_dollars, picture, policy_colours
 
 
@@ -47,6 +48,20 @@ def policy_profiles(profile: pd.DataFrame, limit_mm: float | None) -> bytes:
     if limit_mm is not None:
         axes[2].axhline(limit_mm, color=GREY, linestyle=":")
     axes[2].set_xlabel("inserted length [m]")
+    return picture(figure)
+
+
+def performance_profiles(table: pd.DataFrame) -> bytes:
+    """Fraction of the tubes with a higher reward over the reward, one line per policy."""
+    figure, axis = plt.subplots(figsize=(8, 4), layout="constrained")
+    rewards = np.unique(table["reward"])
+    thresholds = np.append(rewards[0] - 1.0, rewards)
+    for policy, colour in policy_colours(table["policy"]).items():
+        fraction = performance_profile(table, policy, thresholds)
+        axis.step(thresholds, fraction, where="post", color=colour, label=escape_dollars(policy))
+    axis.set(ylim=(0.0, None), xlabel="reward", ylabel="fraction of tubes above it")
+    axis.set_xscale("symlog", linthresh=30.0)  # lost drives cost hundreds
+    axis.legend(frameon=False, fontsize=8)
     return picture(figure)
 
 

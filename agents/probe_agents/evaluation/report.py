@@ -147,6 +147,7 @@ def _pictures(
     pictures = {
         "speed": figures.speed_and_vibration(driven, task.permitted_speed[0], column, bound),
         "trade_off": figures.trade_off(summary),
+        "performance": figures.performance_profiles(done.table),
         "profiles": figures.policy_profiles(done.profile, limit_mm),
     }
     if statistics.has_curves(done.table):
@@ -309,20 +310,29 @@ def ranked(
         for kpi, (_, factor, _) in labels.items():
             row = values[policy, kpi]
             cells[kpi] = _with_ends(row["mean"] * factor, row["low"] * factor, row["high"] * factor)
-        against = Cell("best")
+        against, improvement = Cell("best"), Cell("")
         if policy != best:
             difference = statistics.paired_difference(table, policy, best, "reward")
             against = _with_ends(difference.mean, difference.low, difference.high, "+")
             if difference.low < 0.0 < difference.high:
                 against = against._replace(text=f"{against.text} (unclear)")
+            over = statistics.probability_of_improvement(table, policy, best)
+            improvement = _with_ends(100.0 * over.mean, 100.0 * over.low, 100.0 * over.high)
         complete, _, reasons = ended(ends[policy]).partition(", ")
         reward, *main = (cells.pop(kpi) for kpi in RANKED if kpi in labels)
         head = Cell(policy, "yours" if policy in users else "oracle" if policy in oracles else "")
-        ranking_rows.append([head, reward, against, *main, Cell(complete, reasons)])
+        ranking_rows.append([head, reward, against, improvement, *main, Cell(complete, reasons)])
         more_rows.append([head, *cells.values()])
     names = {kpi: heading(label) for kpi, label in labels.items()}
     reward_name, *main_names = (names.pop(kpi) for kpi in RANKED if kpi in labels)
-    header = ["policy", reward_name, f"reward against {best}", *main_names, "how it ended"]
+    header = [
+        "policy",
+        reward_name,
+        f"reward against {best}",
+        "probability of improvement [%]",
+        *main_names,
+        "how it ended",
+    ]
     return (header, ranking_rows), (["policy", *names.values()], more_rows)
 
 

@@ -166,6 +166,45 @@ def paired_difference(table: pd.DataFrame, first: str, second: str, kpi: str) ->
     return mean_interval((by_context(table, first, kpi) - by_context(table, second, kpi)).to_numpy())
 
 
+def probability_of_improvement(table: pd.DataFrame, first: str, second: str) -> Interval:
+    """Probability that a run of the first policy earns more than one of the second in the same tube, with its interval.
+
+    As Agarwal et al. 2021 (rliable): the mean over the tubes of P(X > Y) + P(X = Y) / 2 over all pairs of runs X of the
+    first and Y of the second. The bootstrap draws tubes and, in strata, the runs of each policy; a training seed plays
+    all tubes, so a run is drawn for all of them together.
+
+    Raises:
+        ValueError: the policies were not run in the same tubes, or not equally often in each.
+    """
+    (tubes, runs), (others, against) = (_rewards_of_runs(table, policy) for policy in (first, second))
+    if not tubes or tubes != others:
+        raise ValueError(f"{first} and {second} cannot be compared: they were not run in the same tubes")
+    wins = 0.5 * (1.0 + np.sign(runs[:, :, None] - against[:, None]))
+    rng, low, high = np.random.default_rng(0), math.nan, math.nan
+    if len(tubes) > 1:
+        weights = [rng.multinomial(count, np.full(count, 1.0 / count), RESAMPLES) / count for count in wins.shape]
+        means = np.einsum("tij,bt,bi,bj->b", wins, *weights, optimize=True)
+        low, high = np.percentile(means, PERCENTILES).tolist()
+    return Interval(float(wins.mean()), low, high)
+
+
+def performance_profile(table: pd.DataFrame, policy: str, thresholds: FloatArray) -> FloatArray:
+    """(k,) fraction of the tubes in which a policy earns more than each of ``thresholds`` (k,), mean over its runs."""
+    _, runs = _rewards_of_runs(table, policy)
+    return np.asarray((runs[:, :, None] > thresholds).mean(axis=(0, 1)))
+
+
+def _rewards_of_runs(table: pd.DataFrame, policy: str) -> tuple[list[int], FloatArray]:
+    """Tubes and rewards (tubes, runs) of a policy; a run is a training seed and a seed of the sensor noise."""
+    part = table[table["policy"] == policy]
+    part = part.sort_values([name for name in ("training_seed", "seed") if name in part], kind="stable")
+    numbered = part.assign(run=part.groupby("context").cumcount())
+    runs = numbered.pivot(index="context", columns="run", values="reward")
+    if runs.isna().any(axis=None):
+        raise ValueError(f"{policy} was not run equally often in all tubes")
+    return list(runs.index), runs.to_numpy()
+
+
 def fraction_of_lead(table: pd.DataFrame, policy: str, best: str = BEST, bar: str = BAR) -> Interval:
     """Reward of a policy on the scale from ``bar`` (0) to ``best`` (1), with its interval over their contexts."""
     columns = [by_context(table, name, "reward") for name in (policy, best, bar)]
