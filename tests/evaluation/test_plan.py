@@ -156,13 +156,17 @@ def test_bad_arguments_are_named_and_nothing_is_written(tmp_path):
 
 
 def test_estimated_time_scales_with_fidelity_and_planner():
-    """Four times the motion at standard; 16 candidates for four of every two periods are 32 more insertions."""
+    """Four times the motion at standard; 16 candidates for four of every two periods are 32 more insertions.
+
+    Of eight copies 256.
+    """
     config, tube = TaskConfig().full_observation, load_contexts("test")[:1]
-    policies = named_policies(["constant", "planner"], config)
+    policies = named_policies(["constant", "planner", "planner-averaged"], config)
     fast, standard = (Plan(policies, tube, (0,), config, PRESETS[name]) for name in ("fast", "standard"))
     one = core_seconds(fast, "constant")
     assert core_seconds(standard, "constant") == pytest.approx(4.0 * one)
     assert core_seconds(fast, "planner") == pytest.approx(33.0 * one)
+    assert core_seconds(fast, "planner-averaged") == pytest.approx(257.0 * one)
     assert core_seconds(Plan(policies, tube, (0,), config, PRESETS["surrogate"]), "constant") == 0.0
 
 

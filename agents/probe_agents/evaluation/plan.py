@@ -224,7 +224,7 @@ def core_seconds(plan: Plan, policy: str) -> float:
     ]
     scene, planner, planned = plan.config.scene, plan.policies[policy], 0.0
     if isinstance(planner, ModelPredictivePolicy):
-        planned = planner.candidates * planner.periods / planner.every
+        planned = planner.copies * planner.candidates * planner.periods / planner.every
     motion = scene.tube.helix_length * SECONDS_PER_METRE / plan.fidelity.time_lapse
     pitches = MEAN_FRACTION * scene.tube.helix_length / scene.probe.float_pitch
     return FULL_LANES * (1.0 + planned) * float(np.median(costs or [0.0])) * pitches * motion

@@ -34,7 +34,9 @@ BY_DIAMETER: Final = "best-schedule-by-diameter"
 NAMES: Final = (*BUILT_IN, *STORED, BY_DIAMETER, *MAP_POLICIES, *LAWS, *PLANNERS)
 CLASS: Final = re.compile(r"(?P<module>[A-Za-z_][\w.]*):(?P<name>[A-Za-z_]\w*)")
 """A policy class of the user: importable module, class name."""
-REPLACED: Final = {"ppo-any-probe": "adaptive"}
+REPLACED: Final = {
+    "ppo-any-probe": "adaptive", "planner-blurred": "planner-averaged", "planner-estimated": "planner-inferred",
+}  # fmt: skip
 """Removed policies and what replaced them."""
 
 

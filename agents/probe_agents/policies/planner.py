@@ -1,31 +1,33 @@
 """Model-predictive control on copies of the simulator: an upper bound for feedback, no controller for a rig.
 
 Every few control periods, candidates of feed and air are simulated on copies of the running episodes; the one with the
-largest sum of simulated and expected remaining reward is applied. Noise on the state and an estimated tube remove
-information that a rig does not have.
+largest sum of simulated and expected remaining reward is applied. Averages over copies with noise on the state, and
+tubes inferred from the measurements, remove information that a rig does not have.
 """
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from functools import lru_cache
+from itertools import chain
 from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from probe_agents.policies.fixed import gain
-from probe_agents.policies.on_map import FRICTION_STEP, FRICTIONS, MIN_AIR, expected_costs, knots, targets_on_map
+from probe_agents.policies.on_map import MIN_AIR, expected_costs, knots, targets_on_map
 from probe_agents.policies.policy import Domain
 from probe_env import Context
 from probe_env.arrays import BoolArray, FloatArray
 from probe_env.envs.episodes import Episodes
+from probe_env.envs.episodes.predicted import MEASURED
 from probe_env.envs.episodes.scoring import RoundTripScorer
 from probe_env.envs.task.config import TaskConfig
 from probe_env.envs.task.observations import in_si_units
 from probe_env.envs.task.rules import metre_reward, reward_terms, uninspected_weight
+from probe_env.envs.task.scales import RF_FLOOR
 from probe_env.envs.vibration_map import CONTEXT, VibrationMap, stored_map
-from probe_env.physics.closed_forms import MEASURED, friction_from_tension
+from probe_env.physics.closed_forms import entrance_tension, sliding_tension
 
 WIDE: Final = (0.5, 0.25)
 """Standard deviations of wide candidates: of the logarithm of the feed, and of the air as a share of its range."""
@@ -33,23 +35,30 @@ NEAR: Final = (0.12, 0.06)
 """Standard deviations of near candidates."""
 BLUR: Final = 1e-5
 """Uncertainty of the radial position of every float on a rig [m]."""
+ENSEMBLE: Final = 256
+"""Number of tubes among which the true one is inferred."""
+INDEPENDENT: Final = (1.0 + MEASURED.tension.correlation) / (1.0 - MEASURED.tension.correlation)
+"""Time in which errors of the tension are as good as one independent error [s]; those of the noise persist as long."""
 PLANNERS: Final[dict[str, dict[str, Any]]] = {
     "planner": {},
-    "planner-blurred": {"blur": BLUR},
-    "planner-estimated": {"blur": BLUR, "tube": "estimated"},
+    "planner-averaged": {"blur": BLUR, "copies": 8},
+    "planner-inferred": {"blur": BLUR, "copies": 8, "tube": "inferred"},
 }
 """Names and settings of planners of insertions."""
-INSPECTION_PLANNERS: Final = {name: PLANNERS[name] for name in ("planner", "planner-blurred")}
+INSPECTION_PLANNERS: Final = {name: PLANNERS[name] for name in ("planner", "planner-averaged")}
 """Those of both passes."""
 
 
 class Memory(NamedTuple):
-    """State of an episode: periods since its start, current feed [m/s] and air [m3/s], estimated friction."""
+    """State of an episode: periods since its start, current feed [m/s] and air [m3/s].
+
+    ``likelihood`` (``ENSEMBLE``,) is the logarithm of the likelihood of all measurements in each tube.
+    """
 
     time: int
     feed: float
     air: float
-    friction: float
+    likelihood: FloatArray
 
 
 @dataclass
@@ -62,8 +71,8 @@ class ModelPredictivePolicy(ABC):
         candidates: number of candidates.
         every: control periods between two decisions.
         blur: standard deviation of the noise on the nodes' radial positions [m].
-        seed: seed of the candidates.
-        prior: initial friction estimate.
+        copies: simulations of a candidate, each with other noise; the mean of their rewards counts.
+        seed: seed of candidates, noise and inferred tubes.
     """
 
     config: TaskConfig
@@ -71,11 +80,11 @@ class ModelPredictivePolicy(ABC):
     candidates: int = 16
     every: int = 2
     blur: float = 0.0
+    copies: int = 1
     seed: int = 0
-    prior: float = 0.175
 
     def __post_init__(self) -> None:
-        for name in ("periods", "candidates", "every"):
+        for name in ("periods", "candidates", "every", "copies"):
             if not 1 <= getattr(self, name) <= 1000:
                 raise ValueError(f"{name} = {getattr(self, name)!r} is outside the accepted range 1 to 1000")
 
@@ -101,8 +110,8 @@ class ModelPredictivePolicy(ABC):
         memories: list[Memory] = []
         for k, state in zip(which, states, strict=True):
             simulator = episodes.simulated().simulators[k]
-            memories.append(state or Memory(0, simulator.feed_speed, simulator.air_supply_rate, self.prior))
-        memories = self._with_friction(observation, memories)
+            memories.append(state or Memory(0, simulator.feed_speed, simulator.air_supply_rate, np.zeros(ENSEMBLE)))
+        memories = self._with_likelihood(observation, memories)
         due = [row for row, memory in enumerate(memories) if memory.time % self.every == 0]
         # grouped by time: candidates depend on the time of an episode, not on the other episodes of the batch
         for time in sorted({memories[row].time for row in due}):
@@ -122,26 +131,28 @@ class ModelPredictivePolicy(ABC):
         tubes = self._tubes([episodes.context[k] for k in which], memories)
         candidates = self._candidates(tubes, inserted, held, entropy)
         candidates[..., 0] = np.minimum(candidates[..., 0], self.config.permitted_feed)
-        copies = episodes.branch(np.repeat(which, self.candidates).tolist())
-        for row, (k, tube) in enumerate(zip(which, tubes, strict=True)):
-            if tube is not episodes.context[k]:
-                move_to(tube, copies, range(row * self.candidates, (row + 1) * self.candidates))
-        blur_states(copies, self.blur, entropy)
-        rows = candidates.reshape(-1, 2)
-        worth = (reward_of_holding(copies, rows, self.periods) + self._rest(copies, rows)).reshape(candidates.shape[:2])
-        return np.take_along_axis(candidates, worth.argmax(axis=1)[:, None, None], axis=1)[:, 0]
+        copies = episodes.branch(np.repeat(which, self.copies * self.candidates).tolist())
+        for row, tube in enumerate(chain.from_iterable(tubes)):
+            alike = range(row * self.candidates, (row + 1) * self.candidates)
+            if tube is not copies.context[alike[0]]:
+                move_to(tube, copies, alike)
+            blur_states(copies, alike, self.blur, [*entropy, row % self.copies])
+        rows = np.repeat(candidates, self.copies, axis=0).reshape(-1, 2)
+        worth = reward_of_holding(copies, rows, self.periods) + self._rest(copies, rows)
+        best = worth.reshape(len(which), self.copies, -1).mean(axis=1).argmax(axis=1)
+        return np.take_along_axis(candidates, best[:, None, None], axis=1)[:, 0]
 
-    def _with_friction(self, observation: npt.NDArray[np.float32], memories: list[Memory]) -> list[Memory]:
-        """Memories with friction estimated from the observations."""
+    def _with_likelihood(self, observation: npt.NDArray[np.float32], memories: list[Memory]) -> list[Memory]:
+        """Memories with the likelihood of the observations."""
         return memories
 
-    def _tubes(self, tubes: list[Context], memories: Sequence[Memory]) -> list[Context]:
-        """Tubes of the simulated copies, for the true tubes."""
-        return tubes
+    def _tubes(self, tubes: list[Context], memories: Sequence[Memory]) -> list[list[Context]]:
+        """Tubes of the simulated copies of each episode, for the true tubes."""
+        return [[tube] * self.copies for tube in tubes]
 
     @abstractmethod
     def _candidates(
-        self, tubes: Sequence[Context], inserted: FloatArray, held: FloatArray, entropy: list[int]
+        self, tubes: Sequence[Sequence[Context]], inserted: FloatArray, held: FloatArray, entropy: list[int]
     ) -> FloatArray:
         """(n, candidates, 2) feed [m/s] and air [m3/s] to try."""
 
@@ -154,17 +165,19 @@ class ModelPredictivePolicy(ABC):
 class InsertionPlanner(ModelPredictivePolicy):
     """Model-predictive control of an insertion.
 
+    With ``tube = "inferred"`` each copy of a candidate is in a tube of an ensemble, resampled for each decision by the
+    likelihood of the root tension and noise so far. The ensemble is uniform in the map's ranges of friction, contact
+    stiffness and drag. The helix diameter is observed.
+
     Attributes:
         vibration: vibration map of the remaining reward; default: the shipped one.
-        tube: "true", or "estimated": friction from the root tension, all else from the scene.
+        tube: "true" or "inferred".
         rest: remaining reward: from the "map", or "nothing" (0).
-        average: time constant of the average of the estimated friction [s].
     """
 
     vibration: VibrationMap = field(default_factory=stored_map)
-    tube: Literal["true", "estimated"] = "true"
+    tube: Literal["true", "inferred"] = "true"
     rest: Literal["map", "nothing"] = "map"
-    average: float = 15.0
 
     @property
     def domain(self) -> Domain:
@@ -175,29 +188,66 @@ class InsertionPlanner(ModelPredictivePolicy):
         """With a hash of the map."""
         return super().describe() | {"map": self.vibration.digest, "least_air": MIN_AIR}
 
-    def _with_friction(self, observation: npt.NDArray[np.float32], memories: list[Memory]) -> list[Memory]:
+    def _with_likelihood(self, observation: npt.NDArray[np.float32], memories: list[Memory]) -> list[Memory]:
         if self.tube == "true":
             return memories
         measured = in_si_units(self.config, np.asarray(observation))
         if "root_tension" not in measured:
-            raise ValueError("planner-estimated needs the root tension (observe_root_tension = true)")
-        friction = friction_from_tension({name: measured[name] for name in MEASURED}, self.config.scene)
-        weight = gain(self.config, self.average)
-        pairs = zip(memories, np.clip(friction, *FRICTIONS).tolist(), strict=True)
-        return [m._replace(friction=m.friction + weight * (latest - m.friction)) for m, latest in pairs]
+            raise ValueError("planner-inferred needs the root tension (observe_root_tension = true)")
+        fraction, weighed = self.config.period / INDEPENDENT, []
+        for row, memory in enumerate(memories):  # one by one: products of matrices of other sizes round differently
+            latest = self._log_likelihood({name: np.full(ENSEMBLE, column[row]) for name, column in measured.items()})
+            weighed.append(memory._replace(likelihood=memory.likelihood + fraction * latest))
+        return weighed
 
-    def _tubes(self, tubes: list[Context], memories: Sequence[Memory]) -> list[Context]:
+    def _log_likelihood(self, measured: dict[str, FloatArray]) -> FloatArray:
+        """(``ENSEMBLE``,) of the root tension and noise of a period in each tube, up to a constant.
+
+        The tension is that of steady sliding and the noise that of the map, with the errors fitted for the surrogate.
+        """
+        config, tubes = self.config, self._ensemble(measured["helix_diameter"])
+        length, feed, air = (measured[name] for name in ("inserted_length", "feed_speed", "air_supply_rate"))
+        steady = sliding_tension(tubes[:, 0], measured, config.scene, tubes[:, 2])
+        tension = measured["root_tension"] + entrance_tension(config.scene, tubes[:, 3])
+        mean = self.vibration.predict(length, np.maximum(feed, 1e-3), air, tubes, config.scene)[0] + MEASURED.bias
+        noise = measured["rf_noise"] / np.hypot(10.0**mean * 1e-4, RF_FLOOR)
+        scatter = MEASURED.field.deviation, MEASURED.slow.deviation, MEASURED.quick
+        errors = (
+            np.log(np.maximum(tension, 0.1) / np.maximum(steady, 0.1))
+            / np.hypot(MEASURED.tension.deviation, config.tension_noise),
+            np.log10(noise) / np.linalg.norm(scatter),
+        )
+        # limited: soon after a change of the feed neither holds
+        return np.asarray(-0.5 * np.minimum(np.square(errors), 9.0).sum(axis=0))
+
+    def _ensemble(self, helix_diameter: FloatArray | float) -> FloatArray:
+        """(``ENSEMBLE``, 4) tubes in the order of ``CONTEXT``, by friction: so resampling is stratified by it."""
+        low, high = self.vibration.ranges
+        tubes = np.random.default_rng([self.seed, 0, 1]).uniform(low, high, (ENSEMBLE, len(CONTEXT)))
+        tubes[:, 0].sort()
+        tubes[:, 3] = helix_diameter
+        return tubes
+
+    def _tubes(self, tubes: list[Context], memories: Sequence[Memory]) -> list[list[Context]]:
         if self.tube == "true":
-            return tubes
-        rounded = [round(round(memory.friction / FRICTION_STEP) * FRICTION_STEP, 4) for memory in memories]
-        pairs = zip(rounded, tubes, strict=True)
-        return [Context(friction=friction, helix_diameter=tube.helix_diameter) for friction, tube in pairs]
+            return super()._tubes(tubes, memories)
+        places = (
+            np.arange(self.copies) + np.random.default_rng([self.seed, memories[0].time, 2]).random()
+        ) / self.copies
+        inferred = []
+        for memory, tube in zip(memories, tubes, strict=True):
+            below = np.cumsum(np.exp(memory.likelihood - memory.likelihood.max()))
+            drawn = self._ensemble(tube.helix_diameter)[np.searchsorted(below, places * below[-1])]
+            inferred.append([Context(**dict(zip(CONTEXT, values, strict=True))) for values in drawn.tolist()])
+        return inferred
 
     def _candidates(
-        self, tubes: Sequence[Context], inserted: FloatArray, held: FloatArray, entropy: list[int]
+        self, tubes: Sequence[Sequence[Context]], inserted: FloatArray, held: FloatArray, entropy: list[int]
     ) -> FloatArray:
-        best = np.column_stack(targets_on_map(tubes, inserted, self.config, self.vibration))
-        return candidates_near(held, best, self.candidates, self.config, entropy)
+        each, lengths = list(chain.from_iterable(tubes)), np.repeat(inserted, self.copies)
+        best = np.column_stack(targets_on_map(each, lengths, self.config, self.vibration))
+        suggested = best.reshape(len(tubes), self.copies, 2).mean(axis=1)
+        return candidates_near(held, suggested, self.candidates, self.config, entropy)
 
     def _rest(self, copies: Episodes, held: FloatArray) -> FloatArray:
         inserted = copies.inserted_length
@@ -234,7 +284,7 @@ class InspectionPlanner(ModelPredictivePolicy):
             )
 
     def _candidates(
-        self, tubes: Sequence[Context], inserted: FloatArray, held: FloatArray, entropy: list[int]
+        self, tubes: Sequence[Sequence[Context]], inserted: FloatArray, held: FloatArray, entropy: list[int]
     ) -> FloatArray:
         """Held setting, fastest feed with the held air, then in turn near the held one and fastest with random air.
 
@@ -310,13 +360,13 @@ def move_to(tube: Context, copies: Episodes, which: range) -> None:
         copies.set_tube(k, tube, scene)
 
 
-def blur_states(copies: Episodes, blur: float, entropy: list[int]) -> None:
-    """Displace the nodes of copies radially by noise [m], equal for all copies of a probe."""
-    if blur <= 0.0:
-        return
-    for simulator in copies.simulated().simulators:
-        noise = np.random.default_rng([*entropy, simulator.steps_done]).normal(size=simulator.chain.node_count)
-        simulator.displace(blur * noise[: simulator.root])
+def blur_states(copies: Episodes, which: range, blur: float, entropy: list[int]) -> None:
+    """Displace the nodes of copies of one episode radially by the same noise [m]."""
+    simulators = copies.simulated().simulators
+    first = simulators[which[0]]
+    noise = blur * np.random.default_rng([*entropy, first.steps_done]).normal(size=first.root)
+    for k in which:
+        simulators[k].displace(noise)
 
 
 def remaining_reward(tube: Context, inserted: FloatArray, config: TaskConfig, vibration: VibrationMap) -> FloatArray:
