@@ -44,6 +44,12 @@ def test_energy_over_a_hundred_thousand_steps():
     assert (table[table["walls"] & ~damped]["ratio"] > 1.0).any()
 
 
+@pytest.mark.parametrize("folder", [FOLDER, FOLDER / "whole"])
+def test_stored_shares_are_those_of_the_stored_map(folder):
+    shares = stability.by_step(pd.read_csv(folder / "map.csv"))
+    pd.testing.assert_frame_equal(shares, pd.read_csv(folder / "steps.csv"), rtol=1e-4)
+
+
 def test_a_run_of_the_study_stores_its_tables_and_figures(tmp_path, monkeypatch):
     """Two cells: a step that is stable and one that is not."""
     monkeypatch.setattr(stability, "run_one_mass", lambda: pd.read_csv(FOLDER / "one_mass.csv"))
