@@ -171,9 +171,10 @@ def test_whole_insertions_are_scored_over_the_same_span():
     assert 0.0 < info["kpis"]["a90_percent_wall"] <= 100.0
 
 
-QUIETER = np.log([0.142, 0.066, 0.183, 0.153])
-"""Logarithm of the improved probe's rms over the original's, by tube: means of 16 seeds."""
-QUIETER_DEVIATIONS = np.array([0.283, 0.315, 0.247, 0.295])
+QUIETER = np.log([0.076, 0.031, 0.013, 0.066])
+"""Logarithm of the improved probe's rms over the original's, by tube: means of 16 seeds. In the third tube the improved
+probe loses its drive before the end, and only the length before counts."""
+QUIETER_DEVIATIONS = np.array([0.237, 0.284, 0.130, 0.208])
 """Standard deviations over the 16 seeds."""
 
 
