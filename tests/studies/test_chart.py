@@ -101,6 +101,13 @@ def test_errors_of_the_whole_model_are_those_of_its_own_runs(tmp_path, monkeypat
     assert scene == replace(reference, whole=False).batch(1).simulators[0].scene.whole()
 
 
+def test_stored_errors_of_the_whole_model_are_those_of_its_runs():
+    stored = pd.read_csv(FOLDER / "whole" / "errors.csv")
+    outputs = [name.removesuffix(":ratio") for name in stored if name.endswith(":ratio")]
+    computed = chart.constant_length(pd.read_csv(FOLDER / "whole" / "ensembles.csv"), outputs)
+    pd.testing.assert_frame_equal(computed, stored, rtol=1e-3, check_dtype=False)
+
+
 def test_an_insertion_is_a_row_a_stretch_and_member():
     insertion = chart.Insertion("superelement32", time_lapse=20.0, members=2)
     rows = pd.DataFrame(insertion.rows(chart.START + 2 * SEGMENT))

@@ -197,7 +197,7 @@ WHOLE = tuple(
     for length in LENGTHS[1:]
     for setting in (
         *(converged(length, Setting.stiffness, 16), Setting("superelement", 5e-5), Setting("imex32", members=32)),
-        *(Setting("superelement32", members=64), Setting("implicit", MODEL_STEP, members=8)),
+        *(Setting("superelement32", members=64), Setting("implicit", MODEL_STEP, members=2)),
     )
 )
 """Settings with the whole model: the converged mesh, the presets and independent methods."""
