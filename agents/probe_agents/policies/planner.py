@@ -231,10 +231,8 @@ class InsertionPlanner(ModelPredictivePolicy):
     def _tubes(self, tubes: list[Context], memories: Sequence[Memory]) -> list[list[Context]]:
         if self.tube == "true":
             return super()._tubes(tubes, memories)
-        places = (
-            np.arange(self.copies) + np.random.default_rng([self.seed, memories[0].time, 2]).random()
-        ) / self.copies
-        inferred = []
+        start, inferred = np.random.default_rng([self.seed, memories[0].time, 2]).random(), []
+        places = (np.arange(self.copies) + start) / self.copies
         for memory, tube in zip(memories, tubes, strict=True):
             below = np.cumsum(np.exp(memory.likelihood - memory.likelihood.max()))
             drawn = self._ensemble(tube.helix_diameter)[np.searchsorted(below, places * below[-1])]
