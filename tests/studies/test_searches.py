@@ -28,7 +28,7 @@ CONFIG = TaskConfig().full_observation
 RETURNS = load_case(None, "train", 1, "both").config
 TUBES = load_case(None, "train").contexts
 SPACE = ranges(RETURNS, TUBES)
-BEST = dict(zip(COLUMNS, (0.3, 70.0, 0.15, 90.0), strict=True))
+BEST = dict(zip(COLUMNS, (0.3, 85.0, 0.15, 90.0), strict=True))
 SIMULATED_AT = "0123456789ab"
 Fake = Callable[[Callable[[Any], float]], list[str]]
 
