@@ -212,7 +212,7 @@ def test_rollouts_fill_phases_and_shipped_files_can_be_written(tmp_path):
     for num_envs, phase_steps, choices in ((3, 384, (32, 64, 128)), (5, 16_384, None)):
         training = Training(environment={"num_envs": num_envs}, phase_steps=phase_steps)
         assert getattr(Tuning(training=training, phases=1).space.get(ROLLOUT), "choices", None) == choices
-    for name in ("ppo", "student", "both-ways"):
+    for name in ("ppo", "student"):
         training = Training.from_toml(file_or_shipped("train", Path(name)))
         (tmp_path / "again.toml").write_text(training.to_toml())
         assert Training.from_toml(tmp_path / "again.toml") == training

@@ -25,7 +25,7 @@ class Train:
     """
 
     config_file: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="CONFIG")]]
-    """Training file (TOML), or the name of a shipped one: ppo, student, both-ways."""
+    """Training file (TOML), or the name of a shipped one: ppo, student."""
     output: File = None
     """Folder of the runs seed-K; default: output/train/NAME."""
     seeds: Annotated[tuple[int, ...], hide_default("SEED ...")] = ()

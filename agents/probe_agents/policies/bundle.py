@@ -141,8 +141,6 @@ class Description(Model):
 class Agent(ObservationPolicy):
     """A trained policy with SB3's ``predict`` on the observations of a task; memory is in the returned state.
 
-    In a task with withdrawal the feed is rounded to the steps of the feed device of the training.
-
     Args:
         description: metadata of the bundle.
         policy: SB3's policy with its weights.
@@ -157,8 +155,6 @@ class Agent(ObservationPolicy):
             if trained != here:
                 raise ValueError(f"{name} = {here!r} differs from {trained!r}, the value in training")
         others = [name for name in PREVIOUS if getattr(description.task, name) != getattr(config, name)]
-        step = description.task.feed_speed_step
-        self._feed_speed_step = step if config.returns and step != config.feed_speed_step else 0.0
         self._other_ranges = bool(others)
         timing = {name: getattr(description.task, name) for name in DECISIONS}
         self._config = config.model_copy(update=timing)  # whose decision period is that of the training
@@ -186,10 +182,6 @@ class Agent(ObservationPolicy):
         applied, state = act(rows, state, start, deterministic)
         if self._other_ranges:
             applied = self.config.actions(*self.description.task.targets(applied).T).astype(np.float32)
-        if self._feed_speed_step:  # every small change of the feed would excite vibration in a withdrawal
-            feed, air = self.config.targets(applied).T
-            feed = self._feed_speed_step * np.round(feed / self._feed_speed_step)
-            applied = self.config.actions(feed, air).astype(np.float32)
         return applied, state
 
     def _infer(self, rows: Floats, state: Any, start: BoolArray, deterministic: bool) -> tuple[Floats, tuple[Any, ...]]:

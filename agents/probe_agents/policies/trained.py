@@ -12,7 +12,6 @@ from probe_agents.policies.view import View
 from probe_agents.records.shipped import DEFAULT_SEED, file_or_shipped, policy_file, shipped_agents
 from probe_agents.terminal.tables import print_terms
 from probe_env.envs.task.config import TaskConfig
-from probe_env.envs.task.scales import PROBE
 from probe_env.files import MEBI, FileError, read_bytes, read_toml
 from probe_env.settings import tuples
 
@@ -45,8 +44,6 @@ def print_agents() -> None:
         environment, (slow, fast) = training.get("environment", {}), task.feed_speeds
         low, high = (3600.0 * max(rate, view.least_air_supply_rate) for rate in task.air_supply_rates)
         extra = {
-            "properties of the probe": set(PROBE) <= set(view.observations),
-            "direction": "direction" in view.observations,
             "friction estimated from the root tension": view.friction_estimate,
             f"averages over {', '.join(f'{seconds:g}' for seconds in view.averages)} s": bool(view.averages),
         }
@@ -56,7 +53,6 @@ def print_agents() -> None:
             "seeds": f"{', '.join(map(str, seeds))}: {name}@{seeds[-1]}; {name} is {name}@{DEFAULT_SEED}",
             "observes": ", ".join(["what a rig measures", *(text for text, used in extra.items() if used)]),
             "environment": f"{environment.get('env_id', 'probe_env/Insertion-v1')}, tubes of"
-            f" {environment.get('contexts', 'train')}, probes: {environment.get('probes', 'scene')};"
-            f" feed {slow:g} to {fast:g} m/s, air {low:g} to {high:g} m3/h",
+            f" {environment.get('contexts', 'train')}; feed {slow:g} to {fast:g} m/s, air {low:g} to {high:g} m3/h",
             "training": f"imitation of {teacher}, then PPO" if teacher else "PPO",
         })  # fmt: skip
