@@ -231,24 +231,28 @@ class InsertionEnv(ProbeEnv):
 
 
 class IncrementalInsertionEnv(InsertionEnv):
-    """`Insertion-v1` for training: an action changes feed and air, and is applied for five seconds.
+    """`Insertion-v1` for training: an action changes feed and air, and is applied for two seconds.
 
     ## Description
     Tubes, physics, reward, costs, arguments and end are those of `Insertion-v1`. Only the interface differs:
 
-    * An action in `Box(-1, 1, (2,), float32)` changes the targets of feed and air by up to an eighth of their ranges
-      (0.0475 m/s, 12.5 m3/h); targets end at their ranges. `config={"change_per_action": 0.25}` sets another share.
-    * An action is applied for five control periods of 1 s (`periods_per_action`). Rewards and costs are summed over
-      them; accelerations, eddy-current noise and root tension are observed as means. Truncated after 180 steps.
+    * An action in `Box(-1, 1, (2,), float32)` changes the targets of feed and air, which end at their ranges. It raises
+      the feed by up to 35 % or lowers it by up to 45 % (a tenth and a fifth of its range on a logarithmic scale:
+      `change_per_action`, `feed_decrease_per_action`), and changes the air by up to 10 m3/h.
+    * An action is applied for two control periods of 1 s (`periods_per_action`). Rewards and costs are summed over
+      them; accelerations, eddy-current noise and root tension are observed as means. Truncated after 450 steps.
 
     Why: PPO explores with Gaussian noise of standard deviation 1. Where the action is the target itself, this noise is
     cut at the ends of the range, so that the mean of a policy that trains well crawls. A change integrates the noise,
-    and its mean behaves as in training. With 80 decisions in an insertion a discount of 0.99 reaches to its end.
+    and its mean behaves as in training.
 
     The observations `previous_feed_action` and `previous_air_action` hold the targets, on the scale of `Insertion-v1`.
     """
 
-    defaults: ClassVar[dict[str, Any]] = {"periods_per_action": 5, "change_per_action": 0.125, "shaping_weight": 2.0}
+    defaults: ClassVar[dict[str, Any]] = {
+        "periods_per_action": 2, "change_per_action": 0.1, "feed_decrease_per_action": 0.2, "logarithmic_change": True,
+        "shaping_weight": 2.0,
+    }  # fmt: skip
 
 
 class SnapshotEnv(ProbeEnv):

@@ -82,8 +82,8 @@ def test_the_spec_has_the_number_of_steps_of_the_time_limit():
         ("Insertion-v1", {"tube": tube}, 1800),
         ("Insertion-v1", {"max_episode_steps": 50}, 50),
         ("Insertion-v1", {"max_episode_steps": -1}, 900),
-        ("IncrementalInsertion-v1", {}, 180),
-        ("IncrementalInsertion-v1", {"config": {"time_limit": 12}}, 3),  # actions of 5, 5 and 2 periods
+        ("IncrementalInsertion-v1", {}, 450),
+        ("IncrementalInsertion-v1", {"config": {"time_limit": 5}}, 3),  # actions of 2, 2 and 1 periods
         ("Snapshot-v1", {}, 80),
         ("Inspection-v0", {"fidelity": "fast"}, 1800),
         ("Design-v1", {}, 1),

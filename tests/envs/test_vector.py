@@ -16,7 +16,7 @@ from probe_agents.vec_env import ProbeVecEnv
 
 CASES = {
     "probe_env/Insertion-v1": {"config": {"period": 0.1, "time_limit": 0.5, "settle_time": 0.1}},
-    "probe_env/IncrementalInsertion-v1": {"config": {"time_limit": 25.0}, "fidelity": "surrogate"},
+    "probe_env/IncrementalInsertion-v1": {"config": {"time_limit": 10.0}, "fidelity": "surrogate"},
     "probe_env/Snapshot-v1": {"config": {"time_limit": 0.5}, "scene": probe_env.Scene(carrier_length=8.0)},
     "probe_env/Inspection-v0": {
         "config": {"period": 0.1, "time_limit": 0.5, "settle_time": 0.1},

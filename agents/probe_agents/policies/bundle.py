@@ -57,7 +57,7 @@ MAX_WEIGHTS: Final = 1 << 24
 LARGEST_WEIGHT: Final = 1e6
 SAME: Final = ("growing", "period")
 """Task fields that must equal those of the training."""
-DECISIONS: Final = ("periods_per_action", "change_per_action")
+DECISIONS: Final = ("periods_per_action", "change_per_action", "feed_decrease_per_action", "logarithmic_change")
 """Task fields of the meaning of an action; the agent converts its actions to one target per control period."""
 PREVIOUS: Final = {"feed_speeds": "previous_feed_action", "air_supply_rates": "previous_air_action"}
 """Ranges that may differ from the training -> observation that is scaled by them."""

@@ -15,6 +15,8 @@ from probe_env.envs.task.scales import (
     action_of,
     fraction_between,
     fraction_of,
+    geometric_at,
+    geometric_fraction,
     value_at,
     with_present_names,
 )
@@ -115,25 +117,19 @@ class View(Model):
 
     def env_actions(self, config: TaskConfig, actions: Rows) -> npt.NDArray[np.float32]:
         """(N, 2) actions of the environment for the agent's actions."""
-        low, high = config.feed_speeds
-        fraction = fraction_of(np.asarray(actions, dtype=np.float64))
-        feed = low * (high / low) ** fraction[:, 0] if self.logarithmic_feed else value_at(fraction[:, 0], (low, high))
-        linear = action_of(fraction_between(feed, config.feed_speeds))
+        feed, air = fraction_of(np.asarray(actions, dtype=np.float64)).T
+        if self.logarithmic_feed:
+            feed = fraction_between(geometric_at(feed, config.feed_speeds), config.feed_speeds)
         floor = self._air_floor(config)
-        blown = floor + (1.0 - floor) * fraction[:, 1]
-        encoded: npt.NDArray[np.float32] = np.column_stack([linear, action_of(blown)]).astype(np.float32)
-        return np.clip(encoded, -1.0, 1.0)
+        return np.clip(action_of(np.column_stack([feed, floor + (1.0 - floor) * air])), -1.0, 1.0).astype(np.float32)
 
     def agent_actions(self, config: TaskConfig, actions: Rows) -> npt.NDArray[np.float32]:
         """(N, 2) inverse of ``env_actions``; feed and air below the least are clipped."""
-        low, high = config.feed_speeds
-        fraction = fraction_of(np.asarray(actions, dtype=np.float64))
-        feed = value_at(fraction[:, 0], (low, high))
-        logarithmic = action_of(np.log(feed / low) / np.log(high / low)) if self.logarithmic_feed else actions[:, 0]
+        feed, air = fraction_of(np.asarray(actions, dtype=np.float64)).T
+        if self.logarithmic_feed:
+            feed = geometric_fraction(value_at(feed, config.feed_speeds), config.feed_speeds)
         floor = self._air_floor(config)
-        blown = (fraction[:, 1] - floor) / (1.0 - floor)
-        encoded: npt.NDArray[np.float32] = np.column_stack([logarithmic, action_of(blown)]).astype(np.float32)
-        return np.clip(encoded, -1.0, 1.0)
+        return np.clip(action_of(np.column_stack([feed, (air - floor) / (1.0 - floor)])), -1.0, 1.0).astype(np.float32)
 
     def _air_floor(self, config: TaskConfig) -> float:
         range_ = config.air_supply_rates

@@ -27,7 +27,7 @@ from probe_env.arrays import FloatArray
 from probe_env.envs.episodes import Episodes
 from probe_env.envs.plants import Tubes
 from probe_env.envs.task.config import TaskConfig
-from probe_env.envs.task.scales import ACCELEROMETER_FLOOR, RF_FLOOR, value_at
+from probe_env.envs.task.scales import ACCELEROMETER_FLOOR, RF_FLOOR, geometric_at, value_at
 from probe_env.envs.vibration_map import Layers, distribution_of
 from probe_env.errors import StabilityWarning
 from probe_env.fidelity import PRESETS
@@ -107,9 +107,9 @@ def tubes_of(group: int) -> tuple[Plant, list[Specimen]]:
     )
 
     def specimen(a: float, b: float, c: float, d: float, e: float) -> Specimen:
-        tube = {"friction": value_at(np.asarray(a), FRICTION), "contact_stiffness": _geometric(STIFFNESS, b)}
-        tube |= {"drag_factor": value_at(np.asarray(c), DRAG_FACTORS), "helix_diameter": _geometric(DIAMETERS, d)}
-        return Specimen(Context(**{name: float(v) for name, v in tube.items()}), float(_geometric(DAMPING, e)))
+        tube = {"friction": value_at(np.asarray(a), FRICTION), "contact_stiffness": geometric_at(b, STIFFNESS)}
+        tube |= {"drag_factor": value_at(np.asarray(c), DRAG_FACTORS), "helix_diameter": geometric_at(d, DIAMETERS)}
+        return Specimen(Context(**{name: float(v) for name, v in tube.items()}), float(geometric_at(e, DAMPING)))
 
     return plant, [specimen(*row) for row in fractions]
 
@@ -124,7 +124,7 @@ def wandering(group: int) -> Program:
             np.array([np.interp(position, knots, row) for position, row in zip(length, fraction, strict=True)])
             for fraction in fractions
         )
-        return _geometric(FEEDS, feed**0.7), value_at(air, AIRS)
+        return geometric_at(feed**0.7, FEEDS), value_at(air, AIRS)
 
     return program
 
@@ -194,10 +194,6 @@ def make_bank(
             np.savez_compressed(buffer, **simulate(group))  # type: ignore[arg-type]
             write_atomically(file, buffer.getvalue())
         yield read_arrays(file, lambda _: "f")
-
-
-def _geometric(range_: tuple[float, float], fraction: FloatArray | float) -> FloatArray:
-    return np.asarray(range_[0] * (range_[1] / range_[0]) ** fraction)
 
 
 def learning_rows(bank: Bank) -> tuple[FloatArray, FloatArray]:

@@ -19,7 +19,7 @@ from probe_env import load_contexts
 from probe_env.arrays import FloatArray
 from probe_env.envs.episodes.predicted import Noise, RandomField, Scatter, features
 from probe_env.envs.task.config import TaskConfig
-from probe_env.envs.task.scales import value_at
+from probe_env.envs.task.scales import geometric_at, value_at
 from probe_env.envs.vibration_map import CONTEXT, stored_map
 from probe_env.fidelity import PRESETS
 from probe_env.physics.closed_forms import entrance_tension, sliding_tension
@@ -71,7 +71,7 @@ def wandering(group: int) -> Program:
     def program(length: FloatArray) -> tuple[FloatArray, FloatArray]:
         k, metre = np.arange(len(length)), length.astype(int)
         feed, air = fractions[:, (length / SEGMENT).astype(int), k]
-        return FEEDS[0] * (FEEDS[1] / FEEDS[0]) ** feed * np.exp(near[metre, k]), value_at(air, AIRS)
+        return geometric_at(feed, FEEDS) * np.exp(near[metre, k]), value_at(air, AIRS)
 
     return program
 

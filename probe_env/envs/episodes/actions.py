@@ -10,7 +10,15 @@ from probe_env.arrays import BoolArray
 from probe_env.envs.episodes.episodes import Episodes, Step
 from probe_env.envs.task import rules
 from probe_env.envs.task.config import TaskConfig
-from probe_env.envs.task.scales import as_actions
+from probe_env.envs.task.scales import (
+    action_of,
+    as_actions,
+    fraction_between,
+    fraction_of,
+    geometric_at,
+    geometric_fraction,
+    value_at,
+)
 
 AVERAGED: Final = ("radial_acceleration", "axial_acceleration", "rf_noise", "root_tension")
 """Observations that are averaged over the control periods of an action."""
@@ -30,7 +38,15 @@ def changed_targets(
     if config.change_per_action == 0.0:
         return np.asarray(actions, dtype=np.float32)
     config.check_actions(actions)
-    return np.clip(targets + 2.0 * config.change_per_action * actions, -1.0, 1.0).astype(np.float32)
+    max_changes = np.full(actions.shape, config.change_per_action)
+    max_changes[actions[:, 0] < 0.0, 0] = config.feed_decrease_per_action or config.change_per_action
+    positions, feeds = fraction_of(targets.astype(float)), config.feed_speeds
+    if config.logarithmic_change:
+        positions[:, 0] = geometric_fraction(value_at(positions[:, 0], feeds), feeds)
+    positions = np.clip(positions + max_changes * actions, 0.0, 1.0)
+    if config.logarithmic_change:
+        positions[:, 0] = fraction_between(geometric_at(positions[:, 0], feeds), feeds)
+    return action_of(positions).astype(np.float32)
 
 
 def step_action(

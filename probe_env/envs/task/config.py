@@ -88,7 +88,11 @@ class Actuators(Model):
     air_supply_rates: Annotated[tuple[float, float], Range(0.0, 0.2, "m3/s")] = (30.0 / 3600.0, 130.0 / 3600.0)
     """Least and most air: actions of -1 and 1."""
     change_per_action: Annotated[float, quantity(0.0, 1.0, "")] = 0.0
-    """Change of the targets by an action of 1, as a share of their ranges; 0: the action is the target itself."""
+    """Change of the targets by an action of 1, as a fraction of their ranges; 0: the action is the target itself."""
+    feed_decrease_per_action: Annotated[float, quantity(0.0, 1.0, "")] = 0.0
+    """The same for a decrease of the feed; 0: ``change_per_action``."""
+    logarithmic_change: bool = False
+    """Whether it is the logarithm of the feed that changes: equal actions change the feed by equal ratios."""
     feed_speed_step: Annotated[float, quantity(0.0, 1.0, "m/s")] = 0.0
     """Resolution of the feed speed: targets are rounded to multiples of it; 0: continuous."""
     air_supply_step: Annotated[float, quantity(0.0, 0.1, "m3/s")] = 0.0

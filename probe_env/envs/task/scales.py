@@ -101,5 +101,17 @@ def fraction_between(value: FloatArray | float, range_: tuple[float, float]) -> 
     return np.asarray((np.asarray(value, dtype=float) - low) / (high - low))
 
 
+def geometric_at(fraction: FloatArray | float, range_: tuple[float, float]) -> FloatArray:
+    """Value at a position in a range: equal steps of the position are equal ratios of the value."""
+    low, high = range_
+    return np.asarray(low * (high / low) ** fraction)
+
+
+def geometric_fraction(value: FloatArray | float, range_: tuple[float, float]) -> FloatArray:
+    """The inverse of ``geometric_at``."""
+    low, high = range_
+    return np.asarray(np.log(value / low) / np.log(high / low))
+
+
 def _fraction(action: FloatArray) -> FloatArray:
     return 0.5 * (action + 1.0)

@@ -8,23 +8,40 @@ from stable_baselines3 import PPO
 from probe_agents.policies.bundle import from_sb3, load_bundle, save_bundle
 from probe_agents.vec_env import ProbeVecEnv
 from probe_env import TaskConfig
-from probe_env.envs.episodes.actions import AVERAGED
+from probe_env.envs import IncrementalInsertionEnv
+from probe_env.envs.episodes.actions import AVERAGED, changed_targets
 
+CONFIG = TaskConfig(**IncrementalInsertionEnv.defaults)
+PERIODS = CONFIG.periods_per_action
 TUBE = {"friction": 0.2, "helix_diameter": 1.5}
 
 
 def periods_of(actions, fidelity="surrogate"):
-    """Steps of Insertion-v1 with the targets that these changes give, five for each action."""
+    """Steps of Insertion-v1 with the targets that these changes give, one for each period of an action."""
     env = gym.make("probe_env/Insertion-v1", fidelity=fidelity)
     env.reset(seed=3, options=TUBE)
-    target = env.unwrapped.episodes.actions[0].astype(float)
+    targets = env.unwrapped.episodes.actions
     for action in actions:
-        target = np.clip(target + 0.25 * np.asarray(action, dtype=np.float32), -1.0, 1.0).astype(np.float32)
-        yield [env.step(target) for _ in range(5)]
+        targets = changed_targets(CONFIG, targets, np.array([action]))
+        yield [env.step(targets[0]) for _ in range(PERIODS)]
+
+
+def test_feed_changes_by_ratios_and_decreases_faster():
+    """Air changes by a fraction of its range, and so does the feed of agents that were trained that way."""
+    actions = np.array([[1.0, 1.0], [0.5, -1.0], [-1.0, 0.5], [0.0, 0.0]])
+    config = TaskConfig(change_per_action=0.1, feed_decrease_per_action=0.2, logarithmic_change=True)
+    start = config.actions(np.full(4, 0.1), np.full(4, 0.02)).astype(np.float32)
+    changed = changed_targets(config, start, actions)
+    feed, air = config.targets(changed).T
+    assert feed == pytest.approx(0.1 * (0.4 / 0.02) ** np.array([0.1, 0.05, -0.2, 0.0]), rel=1e-6)
+    assert air == pytest.approx(0.02 + 0.1 * actions[:, 1] * 100.0 / 3600.0, rel=1e-6)
+    assert (changed[3] == start[3]).all()
+    linear = changed_targets(TaskConfig(change_per_action=0.125), start, actions)
+    assert linear == pytest.approx(start + 0.25 * actions, rel=1e-6)
 
 
 @pytest.mark.parametrize("fidelity", ["surrogate", "fast"])
-def test_an_action_is_five_periods_of_a_changed_target(fidelity):
+def test_an_action_is_some_periods_of_a_changed_target(fidelity):
     actions = [(1.0, -1.0), (0.5, 0.0), (1.0, 1.0)]
     env = gym.make("probe_env/IncrementalInsertion-v1", fidelity=fidelity)
     before = env.reset(seed=3, options=TUBE)[1]["inserted_length"]
@@ -57,7 +74,8 @@ def test_targets_are_clipped_and_actions_outside_refused():
 @pytest.mark.parametrize("air", [0.5, -1.0])
 def test_every_episode_of_a_tube_is_paid_the_same_shaping(air):
     """2 per metre from 5 to 60 m, whether the probe arrives or loses its drive."""
-    env = gym.make("probe_env/IncrementalInsertion-v1", fidelity="surrogate")
+    config = {"periods_per_action": 90, "change_per_action": 1.0}  # at once to the end of the range
+    env = gym.make("probe_env/IncrementalInsertion-v1", fidelity="surrogate", config=config)
     env.reset(seed=3, options=TUBE)
     total, ended = 0.0, False
     while not ended:
@@ -65,7 +83,7 @@ def test_every_episode_of_a_tube_is_paid_the_same_shaping(air):
         total, ended = total + reward, terminated or truncated
     assert info["lost_drive"] == (air < 0.0)
     assert total == pytest.approx(info["episode_kpis"]["reward"] + 110.0, rel=1e-9)
-    assert info["time"] % 5.0 != 0.0  # it ended within an action
+    assert info["time"] % 90.0 != 0.0  # it ended within an action
 
 
 def test_shaping_alone_leaves_actions_and_observations():
@@ -78,7 +96,7 @@ def test_shaping_alone_leaves_actions_and_observations():
 
 
 def test_agent_acts_in_evaluations_as_in_its_environment(tmp_path):
-    """Bit for bit: the evaluation has a target for each control period, the environment an action for five."""
+    """Bit for bit: the evaluation has a target for each control period, the environment an action for some."""
     train = ProbeVecEnv("probe_env/IncrementalInsertion-v1", 2, fidelity="surrogate")
     model = PPO("MlpPolicy", train, n_steps=16, batch_size=16, n_epochs=1, device="cpu", seed=0).learn(32)
     save_bundle(tmp_path / "a.safetensors", model, train.config)
@@ -91,7 +109,7 @@ def test_agent_acts_in_evaluations_as_in_its_environment(tmp_path):
             action, _ = model.predict(observation, deterministic=True)
             observation, reward, *_, info = env.step(action)
             total = info["reward_terms"]["shaping"]
-            for _ in range(5):
+            for _ in range(PERIODS):
                 target, state = agent.predict(row, state, deterministic=True)
                 row, earned, *_ = single.step(target)
                 total += earned

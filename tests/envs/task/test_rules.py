@@ -36,6 +36,9 @@ def test_actions_convert_to_another_range_also_beyond_its_ends():
     assert scales.value_at(fractions, own) == pytest.approx(values, rel=1e-15)
     assert scales.fraction_of(scales.action_of(fractions)) == pytest.approx(fractions, abs=1e-15)
     assert (scales.fraction_of(np.array([-1.5, 1.5])) == [0.0, 1.0]).all()
+    geometric = scales.geometric_at(fractions, own)
+    assert scales.geometric_fraction(geometric, own) == pytest.approx(fractions, abs=1e-15)
+    assert geometric[[0, 3, 6]] == pytest.approx([own[0], (own[0] * own[1]) ** 0.5, own[1]], rel=1e-15)
     here, there = TaskConfig(feed_speeds=own), TaskConfig(feed_speeds=other)
     actions = np.array([-1.0, -0.5, 0.0, 1.0])
     targets = here.targets(np.column_stack([actions, actions]))[:, 0]
