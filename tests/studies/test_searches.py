@@ -179,7 +179,7 @@ def test_round_trip_file_has_both_passes(tmp_path):
     assert withdrawal is not None
     policy = searches.round_trip_policy(RETURNS, BEST)
     for length in (5.0, 33.0, 60.0):
-        for schedule, (feed, air) in ((insertion, (0.3, 70.0)), (withdrawal, (0.15, 90.0))):
+        for schedule, (feed, air) in ((insertion, (0.3, 85.0)), (withdrawal, (0.15, 90.0))):
             assert [float(v) for v in schedule.at(length)] == pytest.approx([feed, air / 3600.0])
         assert np.allclose(policy.withdrawal.at(length), withdrawal.at(length), rtol=1e-12)
 

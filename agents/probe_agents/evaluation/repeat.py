@@ -380,14 +380,18 @@ def repeat_schedule(
         quiet = np.minimum(quiet_feeds(segments, context, config, vibration), config.permitted_feed)[piece]
         for begin, to, reason in intervals.itertuples(index=False):
             slow = np.full(len(at), config.permitted_feed) if reason == SPEED else quiet
-            ahead = 0.0 if reason == SPEED else SETTLING * time_lapse * slow[max(np.searchsorted(at, begin) - 1, 0)]
+            at_begin = slow[max(np.searchsorted(at, begin + 1e-9) - 1, 0)]
+            ahead = 0.0 if reason == SPEED else SETTLING * time_lapse * at_begin
             inside = (at > begin - ahead - GRID) & (at < to - 1e-9)
+            slow = np.where(at < begin - 1e-9, np.minimum(slow, at_begin), slow)
             feed[inside] = np.minimum(feed, slow)[inside]
             lost |= inside & (DRIVE in reason)
         airs.append(_air_of(segments, config)[piece])
     if step > 0.0:
         feed = np.maximum(step * np.floor(feed / step * (1.0 + 1e-9)), slowest)
-    points = math.ceil(fastest * config.period * (1 + config.delay_periods) / GRID)  # in a period
+    points = (
+        math.ceil(fastest * config.period * (1 + config.delay_periods) / GRID) + 1
+    )  # in a period, from a point's end
     feed = np.array([feed[k : k + points + 1].min() for k in range(len(feed))])
     for k in range(len(feed) - 2, -1, -1):
         feed[k] = min(feed[k], math.sqrt(feed[k + 1] ** 2 + 2.0 * config.ramp * GRID / time_lapse))
