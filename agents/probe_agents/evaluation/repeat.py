@@ -389,9 +389,8 @@ def repeat_schedule(
         airs.append(_air_of(segments, config)[piece])
     if step > 0.0:
         feed = np.maximum(step * np.floor(feed / step * (1.0 + 1e-9)), slowest)
-    points = (
-        math.ceil(fastest * config.period * (1 + config.delay_periods) / GRID) + 1
-    )  # in a period, from a point's end
+    # a target holds for a period, which may begin just before the next point
+    points = 1 + math.ceil(fastest * config.period * (1 + config.delay_periods) / GRID)
     feed = np.array([feed[k : k + points + 1].min() for k in range(len(feed))])
     for k in range(len(feed) - 2, -1, -1):
         feed[k] = min(feed[k], math.sqrt(feed[k + 1] ** 2 + 2.0 * config.ramp * GRID / time_lapse))

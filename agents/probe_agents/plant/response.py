@@ -152,9 +152,8 @@ class Response:
         standard, probe = Scene().probe.model_dump(), scene.probe.model_dump()
         others = [name for name in standard if name != "damping_time" and probe[name] != standard[name]]
         texts += [f"probe with different {', '.join(others)}"] if others else []
-        return texts + (
-            [] if scene == scene.whole() else ["assumptions = 'study' of the plant: it is of the whole model"]
-        )
+        texts += [] if scene == scene.whole() else ["assumptions = 'study' of the plant: it is of the whole model"]
+        return texts
 
     def covariance(self, length: FloatArray, chosen: list[int]) -> FloatArray:
         """(m c, m c) of the standardised deviations of metres at inserted lengths (m,) [m], for some channels."""
