@@ -12,7 +12,7 @@ from probe_agents.plant.plc_export import recipe_of, structured_text, table, wri
 from probe_agents.policies import plc_law
 from probe_agents.policies.cases import read_case
 from probe_agents.policies.catalogue import make_policy
-from probe_agents.policies.plc_law import Constants, PlantData, PlcIntegral, PlcProportional, Trim, read_constants
+from probe_agents.policies.plc_law import TRIM, Constants, PlantData, PlcIntegral, PlcProportional, read_constants
 from probe_agents.policies.policy import OutsideDomain
 from probe_env import Plant, Scene
 from probe_env.envs.plants import Posterior, Supply, Tubes
@@ -25,7 +25,12 @@ from tests.oracles.structured_text import FunctionBlock, block_inputs
 
 CONFIG = TaskConfig(scene=Scene()).full_observation  # the laws read friction by the closed form of the study
 PLANT = PlantData.of(CONFIG)
-TRIM = Trim(aim=4e-5, time=60.0)
+TRIMMED = read_constants().model_copy(update={"aim": 4e-5, "trim_time": 60.0})
+OTHER = {
+    "noise_average": 5.0, "fast_feed": 0.8, "fast_air": 0.2, "slow_air": 0.7, "max_shift": 0.3, "trim_average": 2.0,
+    "max_excess": 2.0, "max_deficit": 0.2, "max_decrease": 0.9, "max_increase": 0.1,
+}  # fmt: skip
+"""Constants that have their defaults in the stored laws."""
 
 
 def measured(noise, length, diameter=1.2, friction=0.2, feed=0.15, air=130.0 / 3600.0):
@@ -79,26 +84,27 @@ def test_law_is_fast_before_the_onset_and_slow_after():
 
 def test_trimmed_feed_follows_its_time_constant():
     """With noise far from the aim the trim is linear in time, by the least and the greatest error, up to its limit."""
-    slow = Constants(slow_feed=0.1)  # far from both ends of the device's range
-    law, trimmed = PlcProportional(CONFIG, slow), PlcIntegral(CONFIG, slow, TRIM)
+    slow = Constants(slow_feed=0.1, trim_time=60.0, max_decrease=0.4)  # far from both ends of the device's range
+    law, trimmed = PlcProportional(CONFIG, slow), PlcIntegral(CONFIG, slow)
     settled = 10  # 2.5 time constants of the noise's average: what is left of the start is less than is cut off
-    assert settled == 2.5 * plc_law.NOISE_AVERAGE / CONFIG.period
-    for noise, rate in ((1e-3, -plc_law.LOWERED), (1e-6, plc_law.RAISED)):
+    assert settled == 2.5 * slow.trim_average / CONFIG.period
+    for noise, rate in ((1e-3, -slow.max_excess), (1e-6, slow.max_deficit)):
         rows = measured(noise, np.full(settled + 10, 40.0))
         (by_law, air), (by_trim, same_air) = acted(law, rows), acted(trimmed, rows)
         assert (air == same_air).all()
-        assert np.diff(np.log(by_trim / by_law)[settled:]) == pytest.approx(rate * CONFIG.period / TRIM.time)
-    long = measured(1e-3, np.full(400, 40.0))
-    assert np.log(acted(trimmed, long)[0] / acted(law, long)[0]).min() == pytest.approx(-plc_law.MAX_TRIM)
-    at_aim = acted(PlcIntegral(CONFIG, trim=TRIM), measured(TRIM.aim, np.full(200, 40.0)))[0]
+        assert np.diff(np.log(by_trim / by_law)[settled:]) == pytest.approx(rate * CONFIG.period / slow.trim_time)
+    for noise, limit in ((1e-3, -slow.max_decrease), (1e-6, slow.max_increase)):
+        long = measured(noise, np.full(400, 40.0))
+        assert np.log(acted(trimmed, long)[0] / acted(law, long)[0])[-1] == pytest.approx(limit)
+    at_aim = acted(PlcIntegral(CONFIG, TRIMMED), measured(TRIMMED.aim, np.full(200, 40.0)))[0]
     assert at_aim[100:] == pytest.approx(at_aim[100], rel=1e-3)
-    feed, air = acted(PlcIntegral(CONFIG, Constants(shift=0.0), TRIM), measured(1e-3, np.full(200, 5.0)))
+    feed, air = acted(PlcIntegral(CONFIG, Constants(shift=0.0)), measured(1e-3, np.full(200, 5.0)))
     assert (feed == CONFIG.feed_speeds[1]).all()  # before the onset
     assert (air == PLANT.air_supply_rates[0]).all()
 
 
 def test_many_act_as_one():
-    rng, law, memory = np.random.default_rng(0), PlcIntegral(CONFIG, trim=TRIM), np.zeros((3, 4))
+    rng, law, memory = np.random.default_rng(0), PlcIntegral(CONFIG, TRIMMED), np.zeros((3, 4))
     tubes = [measured(10.0 ** rng.uniform(-5.5, -3.5, 60), np.linspace(8.0, 50.0, 60)) for _ in range(3)]
     law.start(memory)
     for k in range(60):
@@ -106,19 +112,18 @@ def test_many_act_as_one():
     assert feed == pytest.approx([acted(law, tube)[0][-1] for tube in tubes])
 
 
-@pytest.mark.parametrize(("trim", "max_air"), [(None, 130.0), (TRIM, 130.0), (TRIM, 40.0)])
-def test_structured_text_does_what_the_policy_does(trim, max_air):
-    """Over an insertion's worth of measurements: the interpreter rounds every operation to a REAL's 24 bits.
-
-    A law with no more than the least air never trims.
-    """
+@pytest.mark.parametrize(
+    ("trimmed", "changed", "max_air"),
+    [(False, {}, 130.0), (True, {}, 130.0), (True, {}, 40.0), (False, OTHER, 130.0), (True, OTHER, 130.0)],
+)
+def test_structured_text_does_what_the_policy_does(trimmed, changed, max_air):
+    """Over an insertion's worth of measurements: the interpreter rounds every operation to a REAL's 24 bits."""
     rng, count = np.random.default_rng(1), 400
     config = CONFIG.model_copy(update={"air_supply_rates": (CONFIG.air_supply_rates[0], max_air / 3600.0)})
-    law = PlcProportional(config) if trim is None else PlcIntegral(config, trim=trim)
-    block = FunctionBlock(structured_text(law.constants, PlantData.of(config), trim))
+    law = (PlcIntegral if trimmed else PlcProportional)(config, TRIMMED.model_copy(update=changed))
+    block = FunctionBlock(structured_text(law.constants, PlantData.of(config), trimmed))
     plant = {"AIR_SPEED", "DRAG", "FLOAT_DIAMETER", "LEAST_FEED", "MOST_FEED", "LEAST_AIR", "MOST_AIR"}
-    constants = {name.upper() for name in Constants.model_fields} | plant
-    assert block.fixed >= constants if trim else block.fixed == constants
+    assert block.fixed == {name.upper() for name in Constants.model_fields if trimmed or name not in TRIM} | plant
     rows = measured(10.0 ** rng.uniform(-5.5, -3.5, count), np.linspace(5.0, 60.0, count), 1.4, 0.18)
     memory, trims, strong = np.zeros((1, law.memory)), [0.0], 0
     law.start(memory)
@@ -128,15 +133,15 @@ def test_structured_text_does_what_the_policy_does(trim, max_air):
         outputs = block(**block_inputs(row, CONFIG.period, start=k == 0))
         # some fifty roundings of 6e-8 each, with exponents up to 2 and Newton's division by differences of 0.05
         np.testing.assert_allclose([outputs["Friction"], outputs["LogNoise"]], memory[0, :2], rtol=1e-4)
-        if trim:  # 400 additions of at most 1/60, each rounded to 6e-8 of a trim of at most 0.5
+        if trimmed:  # 400 additions of at most 2/60, each rounded to 6e-8 of a trim of at most 0.9
             np.testing.assert_allclose(outputs["NoiseNow"], memory[0, 2], rtol=1e-4)
             np.testing.assert_allclose(outputs["Trim"], memory[0, 3], atol=1e-4)
             trims.append(memory[0, 3])
         if abs(float(outputs["Length"]) / float(outputs["Onset"]) - 1.0) > 1e-3:  # at the switch rounding decides
             np.testing.assert_allclose([outputs["Feed"], outputs["Air"]], [feed[0], air[0]], rtol=1e-3)
-            strong += air[0] == CONFIG.air_supply_rates[1]
-    assert 50 < strong < 350 or max_air == 40.0  # both branches were run
-    assert (np.ptp(trims) > 0.05) == (trim is not None and max_air == 130.0)
+            strong += feed[0] < law.constants.fast_feed * CONFIG.feed_speeds[1]
+    assert 50 < strong < 350  # both branches were run
+    assert (np.ptp(trims) > 0.05) == trimmed
 
 
 def test_structured_text_and_table_of_the_law():
@@ -190,16 +195,37 @@ def test_recipe_is_the_recommended_schedule_or_a_reason():
 def test_constants_are_read_by_name_or_refused(tmp_path):
     described = {"policy": "PlcProportional"} | read_constants().model_dump()
     assert make_policy("plc-proportional", CONFIG).describe() == described
-    assert make_policy("plc-integral", CONFIG).describe()["aim"] == plc_law.read_trim().aim
+    assert make_policy("plc-integral", CONFIG).describe()["aim"] == read_constants(plc_law.STORED_INTEGRAL).aim
     path = tmp_path / "law.json"
-    for read, key in ((read_constants, "constants"), (plc_law.read_trim, "trim")):
-        for text, message in (
-            ("{", "not the constants"), ("{}", "not the constants"), ("[]", "not the constants"),
-            (json.dumps({key: {"average": -1.0, "aim": -1.0}}), "average|aim"), (json.dumps({key: {"a": 1.0}}), "a: "),
-        ):  # fmt: skip
-            path.write_text(text)
-            with pytest.raises(FileError, match=message):
-                read(path)
+    for text, message in (
+        ("{", "not the constants"), ("{}", "not the constants"), ("[]", "not the constants"),
+        ('{"constants": {"average": -1.0}}', "average"), ('{"constants": {"a": 1.0}}', "a: "),
+    ):  # fmt: skip
+        path.write_text(text)
+        with pytest.raises(FileError, match=message):
+            read_constants(path)
+
+
+def test_file_of_ten_constants_is_a_policy(tmp_path):
+    """Both noises had one average; the rest has its defaults."""
+    ten = {"average": 9.0, "onset_length": 29.0, "slow_feed": 0.27}
+    path = tmp_path / "reference.json"
+    path.write_text(json.dumps({"constants": ten, "tubes": 12}))
+    policy = make_policy(str(path), CONFIG)
+    assert isinstance(policy, PlcIntegral)
+    assert policy.constants == Constants(**ten)
+    assert policy.constants.noise_average == 9.0
+    assert Constants(average=9.0, noise_average=5.0).noise_average == 5.0
+
+
+def test_all_constants_act():
+    """Each changes feed or air of an insertion through noise around the target."""
+    noise = 10.0 ** (-4.5 + 0.7 * np.sin(np.arange(600) / 40.0))  # both limits of the trim are reached
+    rows = measured(noise, np.linspace(5.0, 60.0, 600), 1.4, 0.18)
+    base = acted(PlcIntegral(CONFIG, TRIMMED), rows)
+    for name, value in OTHER.items():
+        changed = acted(PlcIntegral(CONFIG, TRIMMED.model_copy(update={name: value})), rows)
+        assert np.abs(np.array(changed) / base - 1.0).max() > 1e-3, name
 
 
 def test_law_warns_of_a_plant_outside_its_range(tmp_path):

@@ -11,11 +11,11 @@ import pytest
 from probe_agents.plant.recommendation import safe_air
 from probe_agents.policies.cases import load_case
 from probe_agents.policies.catalogue import BY_DIAMETER, DATA, make_policy
-from probe_agents.policies.plc_law import PlcProportional, Trim, read_constants, read_trim
+from probe_agents.policies.plc_law import STORED_INTEGRAL, Constants, read_constants
 from probe_agents.records.manifest import commit
 from probe_agents.studies import searches
 from probe_agents.studies.searches import COLUMNS, ROUND_TRIP, MapCost, ranges
-from probe_env import Context, Plant, spread_contexts
+from probe_env import Plant
 from probe_env.envs.contexts import HELIX_DIAMETERS
 from probe_env.envs.plants import FeedDevice, Supply, Tubes
 from probe_env.envs.task.config import TaskConfig
@@ -209,53 +209,45 @@ def test_round_trip_trials_suit_feed_device_and_supply():
             assert rounded[COLUMNS[3]] <= safe_back
 
 
-def test_quasi_steady_reward_is_of_the_map_and_higher_for_the_law():
-    """A fixed feed: the sum over seconds and that over the middles of metres, which the searches maximise."""
-    tubes = (Context(friction=0.1, helix_diameter=2.5), Context(friction=0.25, helix_diameter=1.0))
-    fixed = Schedule("inserted_length", "linear", (5.0, 60.0), (0.1, 0.1), (100.0 / 3600.0, 100.0 / 3600.0))
-    rewards = searches.quasi_steady_rewards(make_policy("slow", CONFIG), tubes, stored_map())  # type: ignore[arg-type]
-    for reward, tube in zip(rewards, tubes, strict=True):
-        expected = MapCost((tube,), CONFIG, stored_map()).reward(fixed)
-        assert reward == pytest.approx(expected, abs=0.05)  # a metre is ten of its seconds: order two, 55 metres
-    assert rewards[0] > rewards[1]
-    tubes, policies = spread_contexts("train", 12), (PlcProportional(CONFIG), make_policy("slow", CONFIG))
-    law, slow = (searches.quasi_steady_rewards(p, tubes, stored_map()).mean() for p in policies)  # type: ignore[arg-type]
-    assert law > slow + 5.0  # the map is deterministic
-
-
 def test_points_and_constants_are_inverses():
     rng = np.random.default_rng(0)
     for _ in range(20):
-        x = rng.random(10)
+        x = rng.uniform(0.3, 0.7, len(searches.SEARCH_RANGES))  # within the accepted ranges
         np.testing.assert_allclose(searches.point_of(searches.constants_at(x)), x, atol=2e-3)  # four digits are kept
+    assert set(searches.SEARCH_RANGES) == set(Constants.model_fields)
+    for end in (0.0, 1.0):
+        searches.constants_at(np.full(len(searches.SEARCH_RANGES), end))  # valid
 
 
-def test_law_search_goes_from_map_to_simulation(simulate, tmp_path, monkeypatch):
-    """With rewards that are best at a known point."""
+def test_law_search_finds_an_optimum_in_new_tubes(simulate, tmp_path, monkeypatch):
+    """With rewards that are best at a known point; a longer search begins with the shorter one."""
 
-    def reward(policy):
-        return -float(np.abs(searches.point_of(policy.constants) - 0.4).sum())
+    def distance(constants):
+        return float(np.abs(searches.point_of(constants) - 0.4).sum())
 
-    monkeypatch.setattr(searches, "quasi_steady_rewards", lambda policy, *_: np.array([reward(policy)]))
-    simulate(reward)
-    optimum = searches.search_law(tmp_path, 300, 6, generations=5)
-    trials = pd.read_csv(tmp_path / "plc-law-trials.csv")
-    assert trials["where"].value_counts().to_dict() == {"map": 301, "simulated": 51}
-    assert trials["reward"].iloc[-1] > trials["reward"].iloc[0]
-    assert np.abs(searches.point_of(optimum) - 0.4).max() < 0.2
-    assert read_constants(tmp_path / "plc-law.json") == optimum
-    assert commits_of(tmp_path / "plc-law.json") == [commit(), SIMULATED_AT]
+    def recorded(plan, output, **_):
+        tubes[output.name] = plan.contexts
+        return fake(plan, output)
+
+    folders, tubes = simulate(lambda policy: -distance(policy.constants)), {}
+    fake = searches.run_plan
+    monkeypatch.setattr(searches, "run_plan", recorded)
+    per_generation = 2 * searches.LAWS
+    searches.search_plc(tmp_path, limit=2, trials=2 * per_generation)
+    short = pd.read_csv(tmp_path / "plc-integral-trials.csv")
+    found = searches.search_plc(tmp_path, limit=2, trials=100 * per_generation)
+    trials = pd.read_csv(tmp_path / "plc-integral-trials.csv")
+    pd.testing.assert_frame_equal(short, trials.iloc[: len(short)])
+    assert trials["generation"].value_counts().eq(searches.LAWS).all()
+    assert distance(found) < 0.2 * distance(read_constants(STORED_INTEGRAL))
+    assert read_constants(tmp_path / "plc-integral.json") == found
+    assert commits_of(tmp_path / "plc-integral.json") == [SIMULATED_AT]
+    assert folders[-1] == "validation"
+    drawn = [*tubes.pop("validation"), *(tube for pair in tubes.values() for tube in pair)]
+    assert len(set(drawn)) == len(drawn) == 24 + 2 * 100
 
 
-def test_trim_search_takes_the_best_with_its_gain(simulate, tmp_path):
-    best = Trim(aim=searches.AIMS[1], time=searches.TIMES[2])
-
-    def reward(policy):
-        trim = getattr(policy, "trim", None)
-        return 5.0 - abs(np.log(trim.aim / best.aim)) - abs(np.log(trim.time / best.time)) if trim else 0.0
-
-    simulate(reward)
-    assert searches.search_trim(tmp_path, 6) == read_trim(tmp_path / "trimmed-law.json") == best
-    trials = pd.read_csv(tmp_path / "trimmed-law-trials.csv")
-    assert len(trials) == len(searches.AIMS) * len(searches.TIMES)
-    assert trials.loc[trials["gain"].idxmax(), ["gain", "gain_low", "gain_high"]].tolist() == pytest.approx([5.0] * 3)
+def test_law_search_keeps_a_start_that_nothing_beats(simulate, tmp_path):
+    start = read_constants(STORED_INTEGRAL)
+    simulate(lambda policy: -float(policy.constants != start))
+    assert searches.search_plc(tmp_path, limit=1, trials=1) == start

@@ -198,7 +198,7 @@ class Recommend:
 
 @dataclass(frozen=True)
 class Plc:
-    """Write the recommended schedule and a feedback law of ten constants for your plant, for a PLC.
+    """Write the recommended schedule and a feedback law for your plant, for a PLC.
 
     Example: probe-env plc --st output/law.st --csv output/law.csv --tube mine.toml
     """
@@ -216,23 +216,22 @@ class Plc:
         """Write, print."""
         from probe_agents.plant.plc_export import print_law, print_recipe, recipe_of, write_law
         from probe_agents.policies.cases import plant_at, read_case
-        from probe_agents.policies.plc_law import PlantData, read_constants, read_trim
+        from probe_agents.policies.plc_law import STORED, STORED_INTEGRAL, PlantData, read_constants
         from probe_agents.records.atomic import STANDARD_OUTPUT
 
         if self.trimmed and not self.st:
             raise ValueError("trimmed = True needs --st: a table has no memory for the integral action")
-        constants = read_constants()
+        constants = read_constants(STORED_INTEGRAL if self.trimmed else STORED)
         case = read_case(self.tube, "test")
-        trim = read_trim() if self.trimmed else None
         written = [file for file in (self.st, self.csv) if file]
         printed = STANDARD_OUTPUT.isdisjoint(written)
         recipe = recipe_of(plant_at(self.tube)) if self.st or printed else ""
-        write_law(constants, PlantData.of(case.config), case, self.st, self.csv, trim, recipe)
+        write_law(constants, PlantData.of(case.config), case, self.st, self.csv, self.trimmed, recipe)
         if printed:
             for file in written:
                 print_line(f"written: {file}")
             print_recipe(recipe)
-            print_law(constants, trim)
+            print_law(constants, self.trimmed)
 
 
 @dataclass(frozen=True)

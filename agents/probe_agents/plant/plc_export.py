@@ -12,7 +12,7 @@ from probe_agents.plant.recommendation import is_misspecified, optimal_schedule,
 from probe_agents.plant.response import stored_response
 from probe_agents.policies import plc_law
 from probe_agents.policies.cases import EvaluationCase, load_case
-from probe_agents.policies.plc_law import SHORTEST, Constants, PlantData, Trim, law_at
+from probe_agents.policies.plc_law import SHORTEST, TRIM, Constants, PlantData, law_at
 from probe_agents.policies.policy import Domain, check_domains
 from probe_agents.records.atomic import write_text
 from probe_agents.terminal.tables import print_table
@@ -29,7 +29,11 @@ TABLE_FRICTIONS: Final = tuple(round(0.08 + 0.02 * k, 2) for k in range(11))
 TABLE_STEP: Final = 2.5
 """Step of the length in a table [m]."""
 DESCRIPTIONS: Final = {
-    "average": ("s", "time constant of the averages of friction and noise"),
+    "average": ("s", "time constant of the average of mu"),
+    "noise_average": ("s", "time constant of the average of v for L'"),
+    "fast_feed": ("", "feed up to L0 over the fastest"),
+    "fast_air": ("", "air up to L0, from 0 (least) to 1 (most)"),
+    "slow_air": ("", "air beyond L0, from 0 (least) to 1 (most)"),
     "onset_length": ("m", "L0 at mu = 0.175 and D = 1.5 m"),
     "onset_friction": ("", "L0 ~ mu^-onset_friction"),
     "onset_diameter": ("", "L0 ~ D^onset_diameter"),
@@ -39,10 +43,16 @@ DESCRIPTIONS: Final = {
     "slow_diameter": ("", "u ~ D^slow_diameter"),
     "quiet": ("m", "noise v at which L' = L"),
     "shift": ("", "L' = L (v / quiet)^shift"),
+    "max_shift": ("", "limit of |ln(L' / L)|"),
     "aim": ("m", "target of v beyond L0"),
-    "time": ("s", "d(ln u)/dt = ln(aim / v) / time"),
+    "trim_time": ("s", "d(ln u)/dt = ln(aim / v) / trim_time"),
+    "trim_average": ("s", "time constant of the average of this v"),
+    "max_excess": ("", "limit of ln(v / aim)"),
+    "max_deficit": ("", "limit of ln(aim / v)"),
+    "max_decrease": ("", "limit of the decrease of ln(u)"),
+    "max_increase": ("", "limit of the increase of ln(u)"),
 }
-"""Constant of the law, then of the trim -> unit and formula in ``SYMBOLS``."""
+"""Constant -> unit and formula in ``SYMBOLS``."""
 SYMBOLS: Final = "mu friction, D helix diameter, L inserted length, L0 onset, u feed beyond L0, v noise"
 PLANT_DATA: Final = {
     "AIR_SPEED": "m/s of wind per m3/s of supply",
@@ -84,32 +94,30 @@ def print_recipe(recipe: Schedule | str) -> None:
 def structured_text(
     constants: Constants,
     plant: PlantData,
-    trim: Trim | None = None,
+    trimmed: bool = False,
     recipe: Schedule | str = "",
     sensor: Sensor | None = None,
 ) -> str:
     """Write recipe, law as a function block, and the scaling of its inputs.
 
     Args:
-        constants: the ten constants.
+        constants: the constants.
         plant: data of the plant.
-        trim: of the integral action on the noise; None: no such action.
+        trimmed: with integral action on the noise.
         recipe: the recommended schedule, or why there is none.
         sensor: sensor of the plant, for the scaling of the noise; default: that of the study's plant.
     """
     from jinja2 import Environment, StrictUndefined
 
     values = (plant.air_speed_per_supply, plant.drag, plant.float_diameter, *plant.feed_speeds, *plant.air_supply_rates)
-    entries = [(n.upper(), value, DESCRIPTIONS[n][0] or "-") for n, value in constants.model_dump().items()]
-    if trim:
-        entries += [("AIM", trim.aim, "m"), ("TRIM_TIME", trim.time, "s")]
+    entries = [(n.upper(), v, DESCRIPTIONS[n][0] or "-") for n, v in _values(constants, trimmed).items()]
     environment = Environment(
         trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True, undefined=StrictUndefined, autoescape=False
     )
     environment.filters["real"] = _real
     return environment.from_string(TEMPLATE.read_text(encoding="utf-8")).render(
         law=plc_law,
-        trim=trim,
+        trim=trimmed,
         header=RECIPE_HEADER,
         about_recipe=RECIPE,
         recipe=recipe if isinstance(recipe, str) else recipe_rows(recipe),
@@ -137,15 +145,18 @@ def table(
     grid = np.meshgrid(diameters, TABLE_FRICTIONS, lengths, indexing="ij")
     diameter, friction, length = (values.ravel() for values in grid)
     logarithm = np.full(len(length), np.log(noise or constants.quiet))
-    feed, air = law_at(constants, plant, (length, friction, logarithm, diameter))
+    feed, air, _ = law_at(constants, plant, (length, friction, logarithm, diameter))
     columns = {"helix_diameter_m": diameter, "friction": friction, "inserted_length_m": length}
     return pd.DataFrame(columns | {"feed_speed_m_per_s": feed, "air_supply_m3_per_h": 3600.0 * air})
 
 
-def print_law(constants: Constants, trim: Trim | None = None) -> None:
-    """Print the constants of the law and of a trim."""
-    values = constants.model_dump() | (trim.model_dump() if trim else {})
-    rows = [(name, f"{value:.4g}", *DESCRIPTIONS[name]) for name, value in values.items()]
+def _values(constants: Constants, trimmed: bool) -> dict[str, float]:
+    return constants.model_dump(exclude=None if trimmed else set(TRIM))
+
+
+def print_law(constants: Constants, trimmed: bool = False) -> None:
+    """Print the constants of the law, and those of the integral action if ``trimmed``."""
+    rows = [(name, f"{value:.4g}", *DESCRIPTIONS[name]) for name, value in _values(constants, trimmed).items()]
     print_table(f"The law's constants ({SYMBOLS})", ("constant", "value", "unit", ""), rows, left=4)
 
 
@@ -155,10 +166,10 @@ def write_law(
     case: EvaluationCase,
     st: Path | None,
     csv: Path | None,
-    trim: Trim | None = None,
+    trimmed: bool = False,
     recipe: Schedule | str = "",
 ) -> None:
-    """Write the law as structured text (with a trim and a recipe, if any) and as a table.
+    """Write the law as structured text (with integral action if ``trimmed``, and a recipe) and as a table.
 
     Warns if the plant requires more tension than the least air of the law gives, or is outside the law's domain.
     """
@@ -172,7 +183,7 @@ def write_law(
         )
     check_domains({"the law": Domain.of_map(stored_map())}, case.config, case.contexts, strict=False)
     if st:
-        write_text(st, structured_text(constants, plant, trim, recipe, case.config.sensor))
+        write_text(st, structured_text(constants, plant, trimmed, recipe, case.config.sensor))
     if csv:
         diameters = sorted({context.helix_diameter for context in case.contexts})
         rows = table(constants, plant, diameters, case.config.scene.tube.helix_length)

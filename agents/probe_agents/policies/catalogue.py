@@ -12,8 +12,8 @@ from probe_agents.policies.fixed import BUILT_IN, Replayed, Scheduled
 from probe_agents.policies.law import Law, LawPolicy
 from probe_agents.policies.on_map import MAP_POLICIES, ByDiameter
 from probe_agents.policies.planner import INSPECTION_PLANNERS, PLANNERS, InsertionPlanner, InspectionPlanner
-from probe_agents.policies.plc_law import PlcIntegral, PlcProportional
-from probe_agents.policies.policy import Domain, Policy
+from probe_agents.policies.plc_law import PlcIntegral, PlcProportional, read_constants
+from probe_agents.policies.policy import MAX_JSON, Domain, Policy
 from probe_agents.policies.wrappers import PREFIX, RoundTripPolicy, Shielded, fastest_withdrawal, insertion_task
 from probe_agents.records.reader import read_schedule, read_withdrawal
 from probe_agents.records.shipped import policy_file, shipped_agents, shipped_names, ships
@@ -21,7 +21,7 @@ from probe_agents.records.sources import WORKBOOKS, file_and_sheet
 from probe_agents.terminal.names import checked_name, name_of
 from probe_env.envs.task.config import TaskConfig
 from probe_env.envs.vibration_map import VibrationMap, check_measure, stored_map
-from probe_env.files import one_line
+from probe_env.files import one_line, read_text
 from probe_env.schedule import Schedule
 
 SCHEDULES: Final = (".csv", ".toml", *WORKBOOKS)
@@ -97,11 +97,12 @@ def user_policies(specs: Sequence[str]) -> list[str]:
 
 
 def make_policy(spec: str, config: TaskConfig, vibration: VibrationMap | None = None, classes: bool = False) -> Policy:
-    """Make a policy from a name, schedule (``SCHEDULES``), feedback law (.json), bundle (.safetensors) or class.
+    """Make a policy from a name, schedule (``SCHEDULES``), law (.json), bundle (.safetensors) or class.
 
-    Shipped agents are NAME (training seed 0) or NAME@SEED. "shielded:" before a name or file adds the shield. In a task
-    with withdrawal, agents that were trained in one act on both passes. Other policies act on the insertion; the
-    withdrawal follows the columns of the schedule file, or is as fast as possible.
+    A law is that of a recommendation, or the constants of plc-integral. Shipped agents are NAME (training seed 0) or
+    NAME@SEED. "shielded:" before a name or file adds the shield. In a task with withdrawal, agents that were trained in
+    one act on both passes. Other policies act on the insertion; the withdrawal follows the columns of the schedule
+    file, or is as fast as possible.
 
     Args:
         spec: name, file or "module:Class"; ``Class(config)`` must return a ``Policy``.
@@ -135,6 +136,8 @@ def make_policy(spec: str, config: TaskConfig, vibration: VibrationMap | None = 
         schedule = read_schedule(spec)
         _warn_of_limits(spec, schedule, config)
         return (Replayed if schedule.over == "time" else Scheduled)(config, schedule)
+    if suffix == ".json" and '"constants"' in read_text(Path(spec), MAX_JSON):
+        return PlcIntegral(config, read_constants(spec))
     if suffix == ".json":
         return LawPolicy(config, law=Law.read(spec))
     if suffix == ".safetensors":

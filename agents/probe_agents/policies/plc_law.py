@@ -1,4 +1,4 @@
-"""Feedback laws for a PLC: fast feed and least air up to an onset length, then slow feed and most air; ten constants.
+"""Feedback laws for a PLC: fast feed and least air up to an onset length, then slow feed and most air.
 
 The best schedules of the vibration map have this form. Onset and slow feed depend on the friction, estimated from the
 root tension, and on the helix diameter; measured noise changes the effective length.
@@ -8,16 +8,18 @@ decreases faster than it increases, since vibration costs more than time.
 """
 
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Final, Self
 
 import numpy as np
+from pydantic import model_validator
 
 from probe_agents.policies.fixed import FixedPolicy, gain
 from probe_agents.policies.on_map import min_air
 from probe_agents.policies.policy import Domain, read_model
 from probe_env import Scene
-from probe_env.arrays import FloatArray
+from probe_env.arrays import BoolArray, FloatArray
 from probe_env.envs.vibration_map import stored_map
 from probe_env.physics.closed_forms import drag_per_metre
 from probe_env.physics.model.chain import air_speed
@@ -31,27 +33,30 @@ CREDIBLE: Final = (0.05, 0.35)
 """Range to which the friction estimate is clipped."""
 SHORTEST: Final = 5.0
 """Shortest inserted length for the friction estimate [m]."""
-MAX_SHIFT: Final = 0.7
-"""Limit of the logarithm of effective over inserted length: a factor of two."""
 ITERATIONS: Final = 6
 """Newton iterations for the friction: relative error below 1e-6 (a test)."""
-STORED: Final = Path(__file__).parent / "data" / "plc-law.json"
-NOISE_AVERAGE: Final = 4.0
-"""Time constant of the average of the logarithm of the noise that is compared with the target [s]."""
+STORED, STORED_INTEGRAL = (Path(__file__).parent / "data" / f"{name}.json" for name in ("plc-law", "plc-integral"))
+"""Constants of plc-proportional and of plc-integral."""
 UNKNOWN_NOISE: Final = 1e-5
 """Initial noise [m]."""
-LOWERED, RAISED = 1.0, 0.5
-"""Limits of the logarithm of noise over target, for decreasing and increasing feed."""
-MAX_TRIM: Final = 0.5
-"""Limit of the magnitude of the logarithm of the factor on the feed."""
-STORED_TRIM: Final = Path(__file__).parent / "data" / "trimmed-law.json"
 
 
 class Constants(Model):
-    """The ten constants of the PLC law; those without a unit are exponents or ratios."""
+    """The constants of the PLC laws; those without a unit are exponents, fractions, or logarithms of ratios.
+
+    Files may lack some, which then have their defaults; ``noise_average`` that of ``average``.
+    """
 
     average: Annotated[float, quantity(1.0, 1000.0, "s")] = 15.0
-    """Time constant of the averages of friction and noise."""
+    """Time constant of the average of the friction."""
+    noise_average: Annotated[float, quantity(1.0, 1000.0, "s")] = 15.0
+    """Time constant of the average of the noise for the effective length."""
+    fast_feed: Annotated[float, quantity(0.1, 1.0, "")] = 1.0
+    """Feed up to the onset, as a fraction of the fastest."""
+    fast_air: Annotated[float, quantity(0.0, 1.0, "")] = 0.0
+    """Air up to the onset, as a fraction of the range from least to most."""
+    slow_air: Annotated[float, quantity(0.0, 1.0, "")] = 1.0
+    """Air beyond the onset, as a fraction of the range from least to most."""
     onset_length: Annotated[float, quantity(1.0, 1000.0, "m")] = 25.0
     """Onset length L1 at ``FRICTION`` and ``DIAMETER``: L0 = L1 (mu / 0.175)^-a (D / 1.5 m)^b."""
     onset_friction: Annotated[float, quantity(-10.0, 10.0, "")] = 1.5
@@ -70,6 +75,32 @@ class Constants(Model):
     """Reference noise v0, as radial rms: effective length L' = L (v / v0)^s."""
     shift: Annotated[float, quantity(0.0, 2.0, "")] = 0.1
     """Exponent s."""
+    max_shift: Annotated[float, quantity(0.0, 5.0, "")] = 0.7
+    """Limit of the logarithm of L' / L; the default is a factor of two."""
+    aim: Annotated[float, quantity(1e-6, 1e-3, "m")] = 3.5e-5
+    """Target noise v_a of the integral action, as radial rms."""
+    trim_time: Annotated[float, quantity(1.0, 10000.0, "s")] = 80.0
+    """Time constant tau: d(ln feed) / dt = ln(v_a / v) / tau."""
+    trim_average: Annotated[float, quantity(0.1, 1000.0, "s")] = 4.0
+    """Time constant of the average of the noise v that is compared with the target."""
+    max_excess: Annotated[float, quantity(0.01, 10.0, "")] = 1.0
+    """Limit of ln(v / v_a), which decreases the feed."""
+    max_deficit: Annotated[float, quantity(0.01, 10.0, "")] = 0.5
+    """Limit of ln(v_a / v), which increases the feed."""
+    max_decrease: Annotated[float, quantity(0.0, 5.0, "")] = 0.5
+    """Limit of the decrease of ln(feed) by the integral action."""
+    max_increase: Annotated[float, quantity(0.0, 5.0, "")] = 0.5
+    """Limit of the increase of ln(feed) by the integral action."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _one_average(cls, fields: Any) -> Any:
+        given = isinstance(fields, dict) and "average" in fields
+        return {"noise_average": fields["average"], **fields} if given else fields
+
+
+TRIM: Final = tuple(Constants.model_fields)[tuple(Constants.model_fields).index("aim") :]
+"""Constants of the integral action."""
 
 
 class PlantData(Model):
@@ -99,23 +130,13 @@ class PlantData(Model):
         )
 
 
-class Trim(Model):
-    """The two constants of the integral action."""
-
-    aim: Annotated[float, quantity(1e-6, 1e-3, "m")] = 3.5e-5
-    """Target noise v_a, as radial rms."""
-    time: Annotated[float, quantity(1.0, 10000.0, "s")] = 80.0
-    """Time constant tau: d(ln feed) / dt = ln(v_a / v) / tau."""
-
-
 def read_constants(path: str | Path = STORED) -> Constants:
-    """Read the ten constants from a file (JSON), see ``read_model``."""
+    """Read the constants from a file (JSON), see ``read_model``."""
     return read_model(path, Constants, "the constants of a law", "constants")
 
 
-def read_trim(path: str | Path = STORED_TRIM) -> Trim:
-    """Read the constants of the integral action from a file (JSON), see ``read_model``."""
-    return read_model(path, Trim, "the constants of a trim", "trim")
+def _log_noise(measured: dict[str, FloatArray]) -> FloatArray:
+    return np.asarray(np.log(np.maximum(measured["rf_noise"], 1e-7)))
 
 
 def friction_of(tension: FloatArray, measured: dict[str, FloatArray], plant: PlantData) -> FloatArray:
@@ -137,23 +158,24 @@ def friction_of(tension: FloatArray, measured: dict[str, FloatArray], plant: Pla
 
 def law_at(
     constants: Constants, plant: PlantData, averaged: tuple[FloatArray, FloatArray, FloatArray, FloatArray]
-) -> tuple[FloatArray, FloatArray]:
-    """Feed [m/s] and air [m3/s], (n,) each.
+) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Feed [m/s] and air [m3/s], and whether the onset is past, (n,) each.
 
     Args:
-        constants: the ten constants.
+        constants: the constants.
         plant: data of the plant.
         averaged: length [m], friction, logarithm of the noise [m] and helix diameter [m], (n,) each.
     """
     c = constants
     inserted, friction, noise, diameter = averaged[0], averaged[1] / FRICTION, averaged[2], averaged[3] / DIAMETER
-    shift = np.clip(c.shift * (noise - np.log(c.quiet)), -MAX_SHIFT, MAX_SHIFT)
+    shift = np.clip(c.shift * (noise - np.log(c.quiet)), -c.max_shift, c.max_shift)
     length = inserted * np.exp(shift)
     onset = c.onset_length * friction**-c.onset_friction * diameter**c.onset_diameter
     slow = c.slow_feed * (np.maximum(length, 0.1) / LENGTH) ** -c.slow_length * friction**-c.slow_friction
     slow = np.clip(slow * diameter**c.slow_diameter, *plant.feed_speeds)
-    fast = length < onset
-    return np.where(fast, plant.feed_speeds[1], slow), np.where(fast, *plant.air_supply_rates)
+    past, (least, most) = length >= onset, plant.air_supply_rates
+    air = np.where(past, c.slow_air, c.fast_air)
+    return np.where(past, slow, c.fast_feed * plant.feed_speeds[1]), (1.0 - air) * least + air * most, past
 
 
 @dataclass
@@ -179,10 +201,13 @@ class PlcProportional(FixedPolicy):
 
     def targets(self, measured: dict[str, FloatArray], memory: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Feed and air from length, tension, noise and helix diameter."""
+        return self._law(measured, memory)[:2]
+
+    def _law(self, measured: dict[str, FloatArray], memory: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
         c, plant = self.constants, self._plant
-        weight = gain(self.config, c.average)
-        memory[:, 0] += weight * (friction_of(measured["root_tension"], measured, plant) - memory[:, 0])
-        memory[:, 1] += weight * (np.log(np.maximum(measured["rf_noise"], 1e-7)) - memory[:, 1])
+        friction, noise = friction_of(measured["root_tension"], measured, plant), _log_noise(measured)
+        memory[:, 0] += gain(self.config, c.average) * (friction - memory[:, 0])
+        memory[:, 1] += gain(self.config, c.noise_average) * (noise - memory[:, 1])
         return law_at(c, plant, (measured["inserted_length"], memory[:, 0], memory[:, 1], measured["helix_diameter"]))
 
     def describe(self) -> dict[str, Any]:
@@ -194,7 +219,7 @@ class PlcProportional(FixedPolicy):
 class PlcIntegral(PlcProportional):
     """Applies the law with trimmed feed. Memory: the law's, average of the logarithm of the noise, trim."""
 
-    trim: Trim = field(default_factory=read_trim)
+    constants: Constants = field(default_factory=partial(read_constants, STORED_INTEGRAL))
     memory: ClassVar[int] = PlcProportional.memory + 2
 
     def start(self, memory: FloatArray) -> None:
@@ -204,16 +229,11 @@ class PlcIntegral(PlcProportional):
 
     def targets(self, measured: dict[str, FloatArray], memory: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Feed and air of the law; the feed beyond the onset is trimmed."""
-        feed, air = super().targets(measured, memory[:, : PlcProportional.memory])
-        noise, trim = memory[:, -2], memory[:, -1]
-        noise += gain(self.config, NOISE_AVERAGE) * (np.log(np.maximum(measured["rf_noise"], 1e-7)) - noise)
-        past = air > self._plant.air_supply_rates[0]  # the onset
-        short = np.clip(np.log(self.trim.aim) - noise, -LOWERED, RAISED)
-        trim += np.where(past, self.config.period / self.trim.time * short, 0.0)
-        np.clip(trim, -MAX_TRIM, MAX_TRIM, out=trim)
+        feed, air, past = self._law(measured, memory[:, : PlcProportional.memory])
+        c, noise, trim = self.constants, memory[:, -2], memory[:, -1]
+        noise += gain(self.config, c.trim_average) * (_log_noise(measured) - noise)
+        short = np.clip(np.log(c.aim) - noise, -c.max_excess, c.max_deficit)
+        trim += np.where(past, self.config.period / c.trim_time * short, 0.0)
+        np.clip(trim, -c.max_decrease, c.max_increase, out=trim)
         trimmed = np.clip(feed * np.exp(trim), *self._plant.feed_speeds)
         return np.where(past, trimmed, feed), air
-
-    def describe(self) -> dict[str, Any]:
-        """With its constants."""
-        return super().describe() | self.trim.model_dump()

@@ -9,7 +9,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Protocol, TypeVar
+from typing import Annotated, Any, Final, Protocol, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -87,12 +87,13 @@ RangesOfTubes = Annotated[dict[str, tuple[FiniteFloat, FiniteFloat]], AfterValid
 
 
 M = TypeVar("M", bound=Model)
+MAX_JSON: Final = 8 * MEBI
 
 
 def read_model(path: str | Path, model: type[M], what: str, key: str | None = None) -> M:
     """Read a JSON file, or the value of one key in it, as a model; ``what`` names the content in errors."""
     try:
-        content = tuples(json.loads(read_text(Path(path), 8 * MEBI)))
+        content = tuples(json.loads(read_text(Path(path), MAX_JSON)))
         return model.model_validate(content if key is None else content[key])
     except ValidationError as error:
         raise FileError(path, explain(error)) from error

@@ -90,8 +90,8 @@ BUILT_IN: Final[dict[str, BuiltIn]] = {
         "surrogate_noise.run", "Fits the noise of the surrogate.", {"limit": Count("groups of 16 insertions", 6)}
     ),
     "plc-constants": BuiltIn(
-        "searches.search_plc", "Searches the constants of the PLC laws.",
-        {"limit": Count("training tubes", 96), "trials": Count("laws on the map")},
+        "searches.search_plc", "Searches the constants of plc-integral.",
+        {"limit": Count("tubes of a generation", 96), "trials": Count("insertions")},
     ),
     "learning": BuiltIn(
         "readme.learn", "What does the README's recipe learn, in the surrogate or with --fidelity fast?",

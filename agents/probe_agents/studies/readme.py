@@ -27,7 +27,7 @@ POLICIES: Final = {
     "constant": "0.2 m/s and 63 m³/h, as in the study",
     "pi": "PI control of the measured vibration",
     "best-schedule": "best schedule over length for all training tubes",
-    "plc-integral": "PLC law of twelve constants: length, root tension and noise in, feed and air out",
+    "plc-integral": "PLC law with integral action: length, root tension and noise in, feed and air out",
     "ppo": "PPO, five training seeds",
     "student": "networks that imitate `plc-integral`, five training seeds",
     "planner": "model-predictive control on a copy of the simulator: an upper bound for feedback",

@@ -7,7 +7,6 @@ are stored and not run again.
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from itertools import product
 from pathlib import Path
 from typing import Any, Final
 
@@ -22,26 +21,27 @@ from probe_agents.evaluation.statistics import a90_95, paired_difference
 from probe_agents.evaluation.workers import HERE, Workers
 from probe_agents.plant.recommendation import safe_air
 from probe_agents.policies.cases import EvaluationCase, load_case, map_of, plant_at, read_case
-from probe_agents.policies.fixed import STUDY_AIR, FixedPolicy, Scheduled
+from probe_agents.policies.fixed import STUDY_AIR, Scheduled
 from probe_agents.policies.on_map import FIRST, min_air
-from probe_agents.policies.plc_law import Constants, PlcIntegral, PlcProportional, Trim
+from probe_agents.policies.plc_law import STORED_INTEGRAL, Constants, PlcIntegral, read_constants
 from probe_agents.policies.policy import Policy
 from probe_agents.policies.wrappers import RoundTripPolicy, insertion_task
 from probe_agents.records.atomic import write_atomically
 from probe_agents.records.manifest import commit, origin, write_json
+from probe_agents.records.shipped import file_or_shipped
 from probe_agents.records.store import write_tables
 from probe_agents.studies.builtin import print_frame
 from probe_agents.terminal.tables import print_line
 from probe_env import Context, Plant
 from probe_env.arrays import FloatArray
-from probe_env.envs.contexts import HELIX_DIAMETERS
+from probe_env.envs.contexts import HELIX_DIAMETERS, SPLIT_SIZES
 from probe_env.envs.task.config import TaskConfig
-from probe_env.envs.task.rules import metre_reward, uninspected_weight
-from probe_env.envs.task.scales import RF_FLOOR, value_at
+from probe_env.envs.task.rules import metre_reward
+from probe_env.envs.task.scales import fraction_between, geometric_at, geometric_fraction, value_at
 from probe_env.envs.vibration_map import CONTEXT, VibrationMap, check_measure, expected_cost, feeds, stored_map
 from probe_env.fidelity import resolve_fidelity
-from probe_env.physics.closed_forms import entrance_tension, sliding_tension
 from probe_env.schedule import AIR, CSV_COMMENT, FEED, INSERTION, WITHDRAWAL, Schedule
+from probe_env.settings import range_of
 
 
 def plan_of(policies: Mapping[str, Policy], case: EvaluationCase) -> Plan:
@@ -61,7 +61,7 @@ def search(
     rewards_of: Callable[[FloatArray], Sequence[float]], start: Sequence[float] | FloatArray, generations: int,
     name: str, spread: float = 0.2, population: int = 16,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
-    """CMA-ES in the unit cube: points (n, d), their rewards (n,) and the final mean (d,).
+    """CMA-ES in the unit cube: points (n, d), their rewards (n,) and the mean after each generation (generations, d).
 
     The search stops when it has converged. A longer search starts with the points of a shorter one.
 
@@ -77,6 +77,7 @@ def search(
     optimizer = CMA(np.array(start), sigma=spread, bounds=bounds, seed=0, population_size=population)
     points: list[FloatArray] = []
     rewards: list[float] = []
+    means: list[FloatArray] = []
     for _ in tqdm(range(generations), desc=name, unit="generation"):
         if optimizer.should_stop():
             break
@@ -85,7 +86,8 @@ def search(
         optimizer.tell([(point, -value) for point, value in zip(generation, gained, strict=True)])
         points += [*generation]
         rewards += gained
-    return np.array(points), np.array(rewards), optimizer.mean
+        means.append(np.clip(optimizer.mean, 0.0, 1.0))
+    return np.array(points), np.array(rewards), np.array(means)
 
 
 # Schedules over length, on the vibration map
@@ -326,140 +328,94 @@ def _suggestions(trials: int, config: TaskConfig, space: Space) -> Iterator[tupl
         yield study.ask(distributions), study
 
 
-# Constants of the PLC laws, on the map and in simulation
+# Constants of plc-integral, in simulation
 
-RANGES: Final[dict[str, tuple[float, float]]] = {
-    "average": (3.0, 40.0), "onset_length": (10.0, 60.0), "onset_friction": (0.0, 3.0), "onset_diameter": (0.0, 3.0),
+SEARCH_RANGES: Final[dict[str, tuple[float, float]]] = {
+    "average": (3.0, 40.0), "noise_average": (3.0, 40.0), "fast_feed": (0.5, 1.2), "fast_air": (-0.3, 1.0),
+    "slow_air": (0.0, 1.3), "onset_length": (10.0, 60.0), "onset_friction": (0.0, 3.0), "onset_diameter": (0.0, 3.0),
     "slow_feed": (0.05, 0.4), "slow_length": (0.0, 2.0), "slow_friction": (0.0, 2.0), "slow_diameter": (0.0, 2.0),
-    "quiet": (1e-6, 2e-4), "shift": (0.0, 0.6),
+    "quiet": (1e-6, 2e-4), "shift": (0.0, 0.6), "max_shift": (0.0, 1.5), "aim": (1e-5, 1e-4),
+    "trim_time": (20.0, 320.0), "trim_average": (1.0, 16.0), "max_excess": (0.2, 4.0), "max_deficit": (0.1, 2.0),
+    "max_decrease": (0.0, 1.5), "max_increase": (0.0, 1.5),
 }  # fmt: skip
-"""Search range of each constant."""
-LOGARITHMIC: Final = ("average", "onset_length", "slow_feed", "quiet")
-LAWS: Final = 10
+"""Search range of each constant, clipped to its accepted range: a bound that is searched lies inside."""
+GEOMETRIC: Final = (
+    "average", "noise_average", "onset_length", "slow_feed", "quiet", "aim", "trim_time", "trim_average", "max_excess",
+    "max_deficit",
+)  # fmt: skip
+"""Constants that are searched on a logarithmic scale."""
+LAWS: Final = 16
 """Laws per generation."""
-WIDE, NEAR = 0.2, 0.05
-"""First standard deviation as a fraction of the ranges: on the map, and in simulation around its result."""
-AIMS: Final = (2.5e-5, 3e-5, 3.5e-5, 4.2e-5, 5e-5)
-"""Target noise of the trim, as radial rms [m]."""
-TIMES: Final = (40.0, 80.0, 160.0)
-"""Integral times of the trim [s]."""
-UNTRIMMED: Final = "plc-law"
-START: Final = 5.0
-"""Inserted length at the start [m]."""
+SPREAD: Final = 0.08
+"""First standard deviation as a fraction of the ranges."""
+FINALISTS: Final = 5
+"""Last generations whose means are compared in the validation tubes."""
 
 
 def constants_at(x: FloatArray) -> Constants:
-    """Constants of a point (10,) in the unit cube."""
+    """Constants of a point (22,) in the unit cube, with four digits."""
     values = {}
-    for fraction, (name, (low, high)) in zip(x, RANGES.items(), strict=True):
-        values[name] = low * (high / low) ** fraction if name in LOGARITHMIC else low + fraction * (high - low)
-    return Constants.model_validate({name: float(f"{value:.4g}") for name, value in values.items()})
+    for fraction, (name, range_) in zip(x, SEARCH_RANGES.items(), strict=True):
+        value = float((geometric_at if name in GEOMETRIC else value_at)(fraction, range_))
+        accepted = range_of(Constants, name)
+        assert accepted
+        values[name] = min(max(float(f"{value:.4g}"), accepted.low), accepted.high)
+    return Constants.model_validate(values)
 
 
 def point_of(constants: Constants) -> FloatArray:
     """The inverse of ``constants_at``, within the cube."""
-    fractions = []
-    for name, (low, high) in RANGES.items():
-        value = getattr(constants, name)
-        linear = (value - low) / (high - low)
-        fractions.append(np.log(value / low) / np.log(high / low) if name in LOGARITHMIC else linear)
+    fractions = [
+        (geometric_fraction if name in GEOMETRIC else fraction_between)(getattr(constants, name), range_)
+        for name, range_ in SEARCH_RANGES.items()
+    ]
     return np.asarray(np.clip(fractions, 0.0, 1.0))
 
 
-def search_plc(output: Path, limit: int | None = None, trials: int = 600, workers: Workers = HERE) -> None:
-    """Search the ten constants of plc-proportional, then the two of plc-integral; store and print.
+def search_plc(output: Path, limit: int = 6, trials: int = 8000, workers: Workers = HERE) -> Constants:
+    """Search all constants of plc-integral by CMA-ES in simulation; stored insertions are not run again.
 
-    Writes plc-law.json, trimmed-law.json and every trial. ``trials`` is the number of laws on the map, ``limit`` the
-    number of training tubes in simulation; default: 12 for the law, 48 for the trim.
+    The ``LAWS`` laws of a generation are simulated in the same ``limit`` tubes, and each generation in others: random
+    ones, in which the helix diameters take turns. The start, which is the stored law, and the means of the last
+    generations are compared in the validation tubes. Writes plc-integral.json and every law.
+
+    Args:
+        output: folder of the results and of the insertions.
+        limit: number of tubes of a generation.
+        trials: number of insertions, without those of the comparison.
+        workers: processes that simulate.
     """
-    search_law(output, trials, limit or 12, workers=workers)
-    search_trim(output, limit or 48, workers)
-    print_line(f"written: {output}/ (plc-law.json, trimmed-law.json, the trials of both)")
-
-
-def search_law(output: Path, trials: int, limit: int, generations: int = 6, workers: Workers = HERE) -> Constants:
-    """The constants of plc-proportional: on the map, then ``generations`` of ``LAWS`` laws in simulation."""
-    whole, case = load_case(None, "train"), load_case(None, "train", limit)
-    config = whole.config.full_observation
-    rows: list[dict[str, Any]] = []
-    commits, done = [commit()], 0  # of the laws on the map, which are not stored
-
-    def by_map(points: FloatArray) -> list[float]:
-        laws = [PlcProportional(config, constants_at(point)) for point in points]
-        return [float(quasi_steady_rewards(law, whole.contexts, stored_map()).mean()) for law in laws]
-
-    def simulated(points: FloatArray) -> list[float]:
-        nonlocal done
-        policies = {f"law-{done + k}": PlcProportional(config, constants_at(point)) for k, point in enumerate(points)}
-        folder = output / "episodes" / f"{done:04d}"
-        table = run_plan(plan_of(policies, case), folder, progress=False, workers=workers)
-        done += len(points)
-        commits.extend(table["commit"])
-        means = table.groupby("policy")["reward"].mean()
-        return [float(means[name]) for name in policies]
-
-    stages = ("map", by_map, WIDE, max(trials // LAWS, 1)), ("simulated", simulated, NEAR, generations)
-    best = Constants()
-    for where, reward, spread, count in stages:
-        points, rewards, mean = search(reward, point_of(best), count, f"plc-law, {where}", spread, LAWS)
-        centre = np.clip(mean, 0.0, 1.0)
-        laws, gained = [*map(constants_at, points), constants_at(centre)], [*rewards, *reward(centre[None])]
-        rows += [{"where": where, "reward": value, **law.model_dump()} for law, value in zip(laws, gained, strict=True)]
-        best = laws[-1] if gained[-1] >= max(gained) else laws[int(np.argmax(gained))]  # the mean if equal
-    table = pd.DataFrame(rows)
-    best_rewards = {where: float(part["reward"].max()) for where, part in table.groupby("where", sort=False)}
-    tubes = {"map": len(whole.contexts), "simulated": limit}
-    record = {"constants": best.model_dump(), "rewards": best_rewards, "tubes": tubes}
-    write_search(output, "plc-law", table, record | {"provenance": origin(commits=commits)})
-    return best
-
-
-def search_trim(output: Path, limit: int, workers: Workers = HERE) -> Trim:
-    """The constants of plc-integral: a grid of aims and times, compared with plc-proportional."""
-    case = load_case(None, "train", limit)
+    case, start = load_case(None, "validation"), read_constants(STORED_INTEGRAL)
+    source = Plant.from_toml(file_or_shipped("tubes", "fresh"))
     config = case.config.full_observation
-    trims = {f"trim-{k}": Trim(aim=aim, time=time) for k, (aim, time) in enumerate(product(AIMS, TIMES))}
-    policies: dict[str, Policy] = {UNTRIMMED: PlcProportional(config)}
-    policies |= {name: PlcIntegral(config, trim=trim) for name, trim in trims.items()}
-    table = run_plan(plan_of(policies, case), output / "trim-episodes", workers=workers)
     rows: list[dict[str, Any]] = []
-    for name, trim in trims.items():
-        gain = paired_difference(table, name, UNTRIMMED, "reward")
-        row = trim.model_dump() | {"reward": table[table["policy"] == name]["reward"].mean()}
-        rows.append(row | {"gain": gain.mean, "gain_low": gain.low, "gain_high": gain.high})
-    trials = pd.DataFrame(rows)
-    best = rows[int(trials["reward"].to_numpy().argmax())]
-    chosen = Trim(aim=best["aim"], time=best["time"])
-    record = {"trim": chosen.model_dump(), "reward": best["reward"], "gain": best["gain"], "tubes": limit}
-    write_search(output, "trimmed-law", trials, record | {"provenance": origin(commits=table["commit"])})
-    print_frame(f"Reward minus that of {UNTRIMMED}, {limit} tubes", trials, texts=0)
-    return chosen
+    commits: list[str] = []
 
+    def simulate(laws: Mapping[str, Constants], tubes: tuple[Context, ...], folder: str) -> pd.DataFrame:
+        plan = plan_of({name: PlcIntegral(config, law) for name, law in laws.items()}, case._replace(contexts=tubes))
+        table = run_plan(plan, output / "episodes" / folder, progress=False, workers=workers)
+        commits.extend(table["commit"])
+        return table
 
-def quasi_steady_rewards(policy: FixedPolicy, tubes: Sequence[Context], vibration: VibrationMap) -> FloatArray:
-    """Expected reward (n,) of insertions with tension, noise and cost of steady states; without jerk."""
-    config, values = policy.config, _values(tubes)
-    column = dict(zip(CONTEXT, values.T, strict=True))
-    count, end, dt = len(tubes), config.scene.tube.helix_length, config.period
-    length, reward, noise = np.full(count, START), np.zeros(count), np.full(count, RF_FLOOR)
-    feed = np.full(count, config.feed_speeds[1])
-    air = np.full(count, config.air_supply_rates[0])
-    memory = np.zeros((count, policy.memory))
-    policy.start(memory)
-    for step in range(round(config.time_limit / dt)):
-        observation = {
-            "inserted_length": length, "feed_speed": feed, "air_supply_rate": air, "rf_noise": noise,
-            "helix_diameter": column["helix_diameter"], "time": np.full(count, step * dt),
-        }  # fmt: skip
-        tension = sliding_tension(column["friction"], observation, config.scene, column["drag_factor"])
-        tension -= entrance_tension(config.scene, column["helix_diameter"])
-        feed, air = policy.targets(observation | {"root_tension": tension}, memory)
-        left = np.maximum(end - length, 0.0)
-        travel = np.minimum(feed * dt, left)
-        mean, deviation = vibration.predict(length + 0.5 * travel, feed, air, values, config.scene)
-        noise = np.hypot(10.0**mean * 1e-4, RF_FLOOR)
-        reward += travel * metre_reward(config, expected_cost(mean, deviation, feed, air, config))
-        length = length + travel
-        if (left <= 0.0).all():
-            break
-    return reward - uninspected_weight(config) * np.maximum(end - length, 0.0)
+    def rewards_of(points: FloatArray) -> list[float]:
+        generation = len(rows) // LAWS
+        laws = {f"law-{len(rows) + k}": constants_at(point) for k, point in enumerate(points)}
+        tubes = source.contexts(limit, len(SPLIT_SIZES) + generation)  # the first seeds are those of the lists
+        means = simulate(laws, tubes, f"{generation:04d}").groupby("policy")["reward"].mean()
+        rows.extend({"generation": generation, "reward": means[n], **law.model_dump()} for n, law in laws.items())
+        return [float(means[name]) for name in laws]
+
+    generations = max(trials // (LAWS * limit), 1)
+    *_, means = search(rewards_of, point_of(start), generations, "plc-integral", SPREAD, LAWS)
+    laws = {"start": start} | {f"mean-{k}": constants_at(x) for k, x in list(enumerate(means))[-FINALISTS:]}
+    table = simulate(laws, case.contexts, "validation")
+    gains = [asdict(paired_difference(table, name, "start", "reward")) for name in laws]
+    rewards = table.groupby("policy")["reward"].mean()[[*laws]]
+    best = str(rewards.idxmax())
+    record = {"constants": laws[best].model_dump(), "law": best, "rewards": rewards.to_dict(), "tubes": limit}
+    write_search(output, "plc-integral", pd.DataFrame(rows), record | {"provenance": origin(commits=commits)})
+    compared = pd.DataFrame(gains).add_prefix("gain_").assign(reward=rewards.to_numpy())
+    compared.insert(0, "law", [*laws])
+    print_frame(f"In {len(case.contexts)} validation tubes", compared)
+    print_line(f"written: {output}/ (plc-integral.json: a policy to evaluate; plc-integral-trials.csv)")
+    return laws[best]
