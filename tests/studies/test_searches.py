@@ -11,6 +11,7 @@ import pytest
 from probe_agents.plant.recommendation import safe_air
 from probe_agents.policies.cases import load_case
 from probe_agents.policies.catalogue import BY_DIAMETER, DATA, make_policy
+from probe_agents.policies.on_map import min_air
 from probe_agents.policies.plc_law import STORED_INTEGRAL, Constants, read_constants
 from probe_agents.records.manifest import commit
 from probe_agents.studies import searches
@@ -63,12 +64,12 @@ def commits_of(path):
 
 def test_point_of_search_is_a_schedule():
     low = searches.FAMILIES["best-constant"].schedule([0.0, 0.0], CONFIG)
-    assert (low.feed_speed[0], low.air_supply_rate[0]) == pytest.approx((0.04, 45.0 / 3600.0))
+    assert (low.feed_speed[0], low.air_supply_rate[0]) == pytest.approx((0.04, min_air(CONFIG)))
     point = [1.0] * len(searches.KNOTS) + [0.0] * (len(searches.AIR_KNOTS) - 1) + [1.0]
     high = searches.FAMILIES["best-schedule"].schedule(point, CONFIG)
     assert high.feed_speed == pytest.approx([0.4] * len(high.position))
     assert set(high.position) == {*searches.KNOTS, *searches.AIR_KNOTS}
-    assert [high.air_supply_rate[k] for k in (0, -1)] == pytest.approx([45.0 / 3600.0, 130.0 / 3600.0])
+    assert [high.air_supply_rate[k] for k in (0, -1)] == pytest.approx([min_air(CONFIG), 130.0 / 3600.0])
 
 
 def test_schedule_of_the_nearest_diameter_is_taken():

@@ -12,12 +12,12 @@ from probe_agents.plant.recommendation import is_misspecified, optimal_schedule,
 from probe_agents.plant.response import stored_response
 from probe_agents.policies import plc_law
 from probe_agents.policies.cases import EvaluationCase, load_case
+from probe_agents.policies.on_map import WORST
 from probe_agents.policies.plc_law import SHORTEST, TRIM, Constants, PlantData, law_at
 from probe_agents.policies.policy import Domain, check_domains
 from probe_agents.records.atomic import write_text
 from probe_agents.terminal.tables import print_table
 from probe_env import Plant
-from probe_env.envs.task.config import TaskConfig
 from probe_env.envs.vibration_map import stored_map
 from probe_env.inspection.sensor import REFERENCE_RMS, Sensor
 from probe_env.schedule import Schedule
@@ -171,14 +171,13 @@ def write_law(
 ) -> None:
     """Write the law as structured text (with integral action if ``trimmed``, and a recipe) and as a table.
 
-    Warns if the plant requires more tension than the least air of the law gives, or is outside the law's domain.
+    Warns if the plant requires more tension than the most air gives in all tubes, or is outside the law's domain.
     """
-    needed, usual = case.config.required_tension, TaskConfig().required_tension
-    if needed > usual:
+    least, most = plant.air_supply_rates
+    if least == most:
         warnings.warn(
-            f"required_tension = {needed:.3g} N: the law's least air, {3600.0 * plant.air_supply_rates[0]:.4g} m3/h, is"
-            f" for {usual:g} N and can lose the drive; raise air_supply_rates[0] in [air] of the tube file, or use"
-            " shielded:plc-proportional",
+            f"required_tension = {case.config.required_tension:.3g} N: the most air, {3600.0 * most:.4g} m3/h, can lose"
+            f" the drive in a helix of {WORST.helix_diameter:g} m with friction {WORST.friction:g}",
             stacklevel=2,
         )
     check_domains({"the law": Domain.of_map(stored_map())}, case.config, case.contexts, strict=False)

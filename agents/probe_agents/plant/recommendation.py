@@ -19,11 +19,11 @@ import pandas as pd
 from probe_agents.evaluation.run import evaluate_plan, plan_of
 from probe_agents.evaluation.workers import HERE, Workers
 from probe_agents.plant.prior import UNKNOWNS
-from probe_agents.plant.response import CHANNELS, Metres, Response, steady_tension
+from probe_agents.plant.response import CHANNELS, Metres, Response
 from probe_agents.policies.cases import load_case
 from probe_agents.policies.catalogue import name_and_spec
 from probe_agents.policies.law import Law, OfDiameter
-from probe_agents.policies.on_map import FIRST, SPACING
+from probe_agents.policies.on_map import FIRST, SPACING, root_tensions
 from probe_agents.policies.policy import OutsideDomain
 from probe_agents.records.atomic import write_atomically
 from probe_agents.records.manifest import origin, write_json
@@ -246,7 +246,9 @@ def settings_of(tubes: Sequence[Context], config: TaskConfig, start_air: float =
     logarithm, fraction = np.log(feed), fraction_between(air, config.air_supply_rates)
     change = (logarithm[:, None] - logarithm) ** 2 + (fraction[:, None] - fraction) ** 2
     settings = Settings(lengths, spacing, feed, air, change, np.zeros(shape), np.zeros(shape, dtype=bool))
-    tension = np.quantile(tensions(tubes, config, settings.metres), 1.0 - CONFIDENCE, axis=0).reshape(shape)
+    metres = settings.metres
+    pulls = root_tensions(tubes, config, metres.length, metres.feed, metres.air)
+    tension = np.quantile(pulls, 1.0 - CONFIDENCE, axis=0).reshape(shape)
     too_slack = slack(config, tension / MARGIN, lengths[:, None])
     hopeless = too_slack.all(axis=1)
     if hopeless.any():
@@ -287,15 +289,6 @@ def expected_costs(tubes: Sequence[Context], response: Response, config: TaskCon
         louder = mean[0, :, column] - np.log10(config.limit)
         costs.append(expected_cost(louder, spread[0, :, column], metres.feed, metres.air, plain))
     return np.array(costs)
-
-
-def tensions(tubes: Sequence[Context], config: TaskConfig, metres: Metres) -> FloatArray:
-    """(tubes, m) root tension of steady sliding [N]."""
-    rows = []
-    for tube in tubes:
-        friction = np.full((1, 1), max(tube.friction, 1e-6))
-        rows.append(steady_tension(friction, metres, _scene_in(tube, config), tube.drag_factor)[0])
-    return np.array(rows)
 
 
 def outside_training(tubes: Sequence[Context], response: Response, config: TaskConfig) -> list[str]:
@@ -386,7 +379,7 @@ def min_root_tension(config: TaskConfig, tubes: Sequence[Context], airs: FloatAr
     lengths = np.linspace(FIRST, config.scene.tube.helix_length, 23)
     lengths = lengths[drive_counts(config, lengths)]
     air, length = np.repeat(airs / 3600.0, len(lengths)), np.tile(lengths, len(airs))
-    tension = tensions(tubes, config, Metres(length, np.full(len(length), feed), air, {}))
+    tension = root_tensions(tubes, config, length, np.full(len(length), feed), air)
     return np.asarray(tension.min(axis=0).reshape(len(airs), -1).min(axis=1, initial=np.inf))
 
 

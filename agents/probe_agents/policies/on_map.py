@@ -17,27 +17,23 @@ from probe_agents.policies.fixed import FixedPolicy, gain
 from probe_agents.policies.policy import Domain
 from probe_env import Context
 from probe_env.arrays import FloatArray
-from probe_env.envs.contexts import HELIX_DIAMETERS
+from probe_env.envs.contexts import DRAG_FACTOR, FRICTION, HELIX_DIAMETERS
 from probe_env.envs.task.config import TaskConfig
+from probe_env.envs.task.rules import drive_counts
 from probe_env.envs.task.scales import RF_FLOOR
-from probe_env.envs.vibration_map import (
-    CONTEXT,
-    VibrationMap,
-    check_measure,
-    equivalent_air,
-    expected_cost,
-    feeds,
-    stored_map,
-)
-from probe_env.physics.closed_forms import MEASURED, friction_from_tension
+from probe_env.envs.vibration_map import CONTEXT, VibrationMap, check_measure, expected_cost, feeds, stored_map
+from probe_env.physics.closed_forms import MEASURED, entrance_tension, friction_from_tension, sliding_tension
 from probe_env.physics.model.chain import air_speed
 from probe_env.schedule import Schedule
 
 SPACING: Final = 2.5  # [m] between knots
 FIRST: Final = 5.0  # [m], the length at which an insertion begins
-MIN_AIR: Final = 45.0 / 3600.0
-"""[m3/s] for table 2; with less, the root tension of a training tube was close to the required 0.8 N."""
-USUAL: Final = TaskConfig().scene
+PULL: Final = 1.1
+"""Least ratio of the root tension of steady sliding to the task's required tension, where lost drive is scored."""
+SLACK_COST: Final = 1e3
+"""Cost of a metre with less, far above all other costs."""
+WORST: Final = Context(friction=FRICTION[1], drag_factor=DRAG_FACTOR[0], helix_diameter=HELIX_DIAMETERS[0])
+"""The training tube with the least root tension."""
 FRICTIONS: Final = (0.08, 0.27)
 FRICTION_STEP: Final = 0.005
 SHIFTS: Final = (-1.5, 1.0)
@@ -49,16 +45,39 @@ def knots(config: TaskConfig) -> FloatArray:
     return np.arange(FIRST, config.scene.tube.helix_length + 1.0, SPACING)
 
 
+def root_tensions(
+    tubes: Sequence[Context], config: TaskConfig, length: FloatArray, feed: FloatArray, air: FloatArray
+) -> FloatArray:
+    """(tubes, n) root tension of steady sliding [N] at inserted lengths [m], feeds [m/s] and air supplies [m3/s]."""
+    tensions = []
+    for tube in tubes:
+        diameter, friction = np.full(len(length), tube.helix_diameter), np.array(max(tube.friction, 1e-6))
+        measured = dict(zip(MEASURED[1:], (length, feed, air, diameter), strict=True))
+        sliding = sliding_tension(friction, measured, config.scene, tube.drag_factor)
+        tensions.append(sliding - entrance_tension(config.scene, diameter))
+    return np.array(tensions)
+
+
+def lacking(config: TaskConfig, length: FloatArray, tension: FloatArray) -> FloatArray:
+    """Root tension [N] that is lacking in schedules: to ``PULL`` where lost drive is scored, else to pulling at all."""
+    return np.where(drive_counts(config, length), PULL * config.required_tension, 0.0) - tension
+
+
+@lru_cache(maxsize=64)
 def min_air(config: TaskConfig) -> float:
-    """Smallest air supply of schedules [m3/s]: it pulls a probe at rest like ``MIN_AIR`` in table 2."""
-    equal = float(equivalent_air(np.array([MIN_AIR]), np.zeros(1), USUAL, config.scene)[0])
-    return float(np.clip(equal, *config.air_supply_rates))
+    """Smallest air supply of schedules for all tubes [m3/s]: it pulls enough in ``WORST`` at the fastest feed."""
+    length = knots(config)
+    air = np.linspace(*config.air_supply_rates, 201)
+    pairs = np.tile(length, len(air)), np.full(len(air) * len(length), config.permitted_feed), air.repeat(len(length))
+    pull = root_tensions([WORST], config, *pairs)[0].reshape(len(air), -1)
+    enough = (lacking(config, length, pull) <= 0.0).all(axis=1)
+    return float(air[enough.argmax()] if enough.any() else air[-1])
 
 
 @lru_cache(maxsize=64)
 def grid(config: TaskConfig) -> tuple[FloatArray, FloatArray]:
     """(g,) feed speeds [m/s] and air supplies [m3/s] of the search grid."""
-    air = np.linspace(min_air(config), config.air_supply_rates[1], 12)
+    air = np.linspace(*config.air_supply_rates, 16)
     feed, blown = np.meshgrid(np.geomspace(*feeds(config), 32), air, indexing="ij")
     return feed.ravel(), blown.ravel()
 
@@ -68,15 +87,19 @@ def expected_costs(
 ) -> FloatArray:
     """(contexts, knots, g) expected cost per metre at every knot, for every feed and air of the grid.
 
-    ``shift`` [decades] is added to the logarithm of the vibration of the map; default: the shipped map.
+    Settings with too little root tension cost ``SLACK_COST`` and more, the less tension the more. ``shift`` [decades]
+    is added to the logarithm of the vibration of the map; default: the shipped map.
     """
-    count, vibration = len(knots(config)), vibration or stored_map()
+    vibration = vibration or stored_map()
     check_measure(vibration, config)
-    feed, air = (np.tile(column, count) for column in grid(config))
+    count, (feed, air) = len(knots(config)), grid(config)
+    length, feed, air = np.repeat(knots(config), len(feed)), np.tile(feed, count), np.tile(air, count)
     costs = []
     for context in contexts:
         mean, deviation = _grid_vibration(tuple(map(float, context)), config, vibration)
-        costs.append(expected_cost(mean + shift, deviation, feed, air, config).reshape(count, -1))
+        cost = expected_cost(mean + shift, deviation, feed, air, config)
+        slack = lacking(config, length, root_tensions([_context(*map(float, context))], config, length, feed, air)[0])
+        costs.append(np.where(slack > 0.0, SLACK_COST * (1.0 + slack), cost).reshape(count, -1))
     return np.array(costs)
 
 
@@ -156,7 +179,7 @@ class MapPolicy(FixedPolicy):
     def describe(self) -> dict[str, Any]:
         """With a hash of the map."""
         settings = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("config", "vibration")}
-        return {"policy": type(self).__name__, **settings, "map": self.vibration.digest, "least_air": MIN_AIR}
+        return {"policy": type(self).__name__, **settings, "map": self.vibration.digest, "pull": PULL}
 
 
 @dataclass

@@ -115,7 +115,7 @@ class PlantData(Model):
     feed_speeds: tuple[float, float]
     """Slowest feed, and fastest feed that the instrument permits [m/s]."""
     air_supply_rates: tuple[float, float]
-    """[m3/s]: least air of schedules (``on_map.min_air``) and most air."""
+    """[m3/s]: least air that pulls enough in all tubes (``on_map.min_air``) and most air."""
 
     @classmethod
     def of(cls, config: Any) -> Self:
