@@ -10,10 +10,11 @@ import pytest
 from probe_agents.cli import main
 from probe_agents.plant import recommendation
 from probe_agents.plant.plc_export import recipe_of
-from probe_agents.plant.recommendation import MARGIN, expected_costs, optimal_schedule, root_compression, safe_air
+from probe_agents.plant.recommendation import expected_costs, optimal_schedule, root_compression, safe_air
 from probe_agents.plant.response import Metres, stored_response
 from probe_agents.policies.cases import load_case
 from probe_agents.policies.catalogue import DATA
+from probe_agents.policies.on_map import MARGIN
 from probe_agents.policies.plc_law import PlantData
 from probe_agents.records.tables import read_csv
 from probe_env import Context, Plant, Scene

@@ -23,7 +23,7 @@ from probe_agents.plant.response import CHANNELS, Metres, Response
 from probe_agents.policies.cases import load_case
 from probe_agents.policies.catalogue import name_and_spec
 from probe_agents.policies.law import Law, OfDiameter
-from probe_agents.policies.on_map import FIRST, SPACING, root_tensions
+from probe_agents.policies.on_map import FIRST, MARGIN, SPACING, root_tensions
 from probe_agents.policies.policy import OutsideDomain
 from probe_agents.records.atomic import write_atomically
 from probe_agents.records.manifest import origin, write_json
@@ -49,10 +49,8 @@ DRAWS_PER_ROW: Final = 16
 """Samples of one helix diameter for a row of a law."""
 CHANGE_WEIGHT: Final = 0.5
 """Cost of a change of the feed by a factor of e, or of the air over its range, between two points."""
-MARGIN: Final = 1.5
-"""Required ratio of root tension to the task's required tension ..."""
 CONFIDENCE: Final = 0.95
-"""... in this share of the samples."""
+"""Share of the samples in which the tension has its ``MARGIN``."""
 INTERVAL: Final = 0.05, 0.95
 """Quantiles of the samples' expected rewards."""
 NAME: Final = "recommended"

@@ -15,7 +15,7 @@ from typing import Any, Final, Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from probe_agents.policies.on_map import PULL, expected_costs, knots, targets_on_map
+from probe_agents.policies.on_map import MARGIN, expected_costs, knots, targets_on_map
 from probe_agents.policies.policy import Domain
 from probe_env import Context
 from probe_env.arrays import BoolArray, FloatArray
@@ -186,7 +186,7 @@ class InsertionPlanner(ModelPredictivePolicy):
 
     def describe(self) -> dict[str, Any]:
         """With a hash of the map."""
-        return super().describe() | {"map": self.vibration.digest, "pull": PULL}
+        return super().describe() | {"map": self.vibration.digest, "margin": MARGIN}
 
     def _with_likelihood(self, observation: npt.NDArray[np.float32], memories: list[Memory]) -> list[Memory]:
         if self.tube == "true":
