@@ -83,7 +83,7 @@ REFUSED = [
     ("study best-round-trip --limit 97", "limit = 97 is outside the accepted range 1 to 96"),
     ("study best-schedules --trials 0", "trials = 0 is outside"),
     ("study vibration-map --trials 0", "trials = 0 is outside"),
-    ("study learning --fidelity standard", "fidelity = standard: the recipe"),
+    ("study learning --limit 49", "limit = 49 is outside"),
     ("study plc-constants --limit 0", "limit = 0 is outside"),
     ("study response --limit 0", "limit = 0 is outside"),
     ("signal constant --flaws 30", "flaws: '30' is not POSITION:DEPTH"),

@@ -12,6 +12,7 @@ from probe_agents.policies.catalogue import make_policy
 from probe_agents.policies.on_map import MARGIN, WORST, WORST_MARGIN, best_schedule_for, knots, min_air, root_tensions
 from probe_agents.policies.policy import Domain, OutsideDomain, ranges_of
 from probe_env import Context, Plant, Scene
+from probe_env.envs import IncrementalInsertionEnv
 from probe_env.envs.contexts import HELIX_DIAMETERS
 from probe_env.envs.plants import map_file
 from probe_env.envs.task.config import TaskConfig
@@ -68,6 +69,10 @@ def test_schedules_pull_enough_by_closed_form(scene):
     for tube in (WORST, Context(friction=0.12, helix_diameter=2.5)):
         feed, air = best_schedule_for(tube, config).at(lengths)
         assert (root_tensions([tube], config, lengths, feed, air) >= MARGIN * needed).all()
+
+
+def test_air_of_training_is_enough_in_all_tubes():
+    assert IncrementalInsertionEnv.defaults["air_supply_rates"][0] == pytest.approx(min_air(TaskConfig()))
 
 
 @pytest.mark.parametrize("passes", ["in", "both"])

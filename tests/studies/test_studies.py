@@ -308,9 +308,12 @@ def test_cells_of_one_tube_and_of_the_baseline():
 
 
 @pytest.mark.slow
-def test_recipe_is_trained_and_tested(tmp_path, monkeypatch):
-    monkeypatch.setitem(readme.STEPS, "surrogate", (2048, 4096))  # type: ignore[misc]
+def test_recipes_are_trained_and_tested(tmp_path, monkeypatch):
+    """Of Stable-Baselines3 and of sb3-contrib."""
+    short = {name: recipe._replace(steps=(2048, 4096)) for name, recipe in readme.RECIPES.items()}
+    monkeypatch.setattr(readme, "RECIPES", short)
     table = readme.learn(tmp_path, limit=1, trials=1)
-    assert table["policy"].tolist() == [*readme.RIVALS, "0 2048", "0 4096"]
+    named = [f"{name}-0-{steps}" for name in short for steps in (2048, 4096)]
+    assert table["policy"].tolist() == [*readme.RIVALS, *named]
     assert table["reward"].notna().all()
     assert {path.name for path in tmp_path.iterdir()} == {"curve.csv", "manifest.json", "models"}

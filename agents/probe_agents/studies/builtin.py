@@ -94,8 +94,8 @@ BUILT_IN: Final[dict[str, BuiltIn]] = {
         {"limit": Count("tubes of a generation", 96), "trials": Count("insertions")},
     ),
     "learning": BuiltIn(
-        "readme.learn", "What does the README's recipe learn, in the surrogate or with --fidelity fast?",
-        {"fidelity": None, "limit": Count("test tubes", 48), "trials": Count("training seeds")},
+        "readme.learn", "What does the README's recipe learn, with PPO and with another algorithm?",
+        {"limit": Count("test tubes", 48), "trials": Count("training seeds of each recipe")},
     ),
     "speed": BuiltIn("readme.measure_speed", "How many environment steps a second does this machine run?"),
 }  # fmt: skip

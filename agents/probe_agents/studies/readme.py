@@ -1,4 +1,4 @@
-"""Measured figures of the README: learning curve of its recipe, environment steps per second.
+"""Measured figures of the README: learning curves of its recipe, environment steps per second.
 
 ``python -m probe_agents.studies.readme`` prints its tables from the stored results; a test compares them.
 """
@@ -7,7 +7,7 @@ import json
 import multiprocessing
 import time
 from pathlib import Path
-from typing import Final
+from typing import Any, Final, NamedTuple
 
 import gymnasium as gym
 import numpy as np
@@ -40,8 +40,27 @@ COLUMNS: Final = {
     "air [m³]": ("air_m3", 1.0, ".1f"),
 }
 """Header -> KPI, factor, format."""
-STEPS: Final = {"surrogate": (50_000, 200_000, 1_000_000, 3_000_000), "fast": (16_384,)}
-"""Fidelity of training -> steps after which the agents are tested."""
+
+
+class Recipe(NamedTuple):
+    """An algorithm of Stable-Baselines3 or sb3-contrib in the surrogate with 64 environments.
+
+    ``settings`` are those of ``model``; ``tuning`` is the number of trainings spent on choosing them.
+    """
+
+    algorithm: str
+    settings: dict[str, Any]
+    seeds: int
+    steps: tuple[int, ...]
+    tuning: int = 0
+
+
+RECIPES: Final = {
+    "ppo": Recipe("PPO", {"n_steps": 32, "batch_size": 256}, 5, (50_000, 200_000, 1_000_000)),
+    "sac": Recipe("SAC", {}, 3, (50_000, 200_000, 1_000_000)),
+    "sac-tuned": Recipe("SAC", {"gradient_steps": 16}, 3, (50_000, 200_000)),
+}
+"""Name -> recipe. PPO: rollouts of 2,048 steps as in Stable-Baselines3; batches of 256 save time."""
 ENV: Final = "probe_env/IncrementalInsertion-v1"
 RIVALS: Final = ("constant", "pi", "best-schedule", "plc-integral")
 SPEEDS: Final = (("fast", 1, 60), ("fast", 16, 60), ("fast", 64, 40), ("surrogate", 64, 300))
@@ -83,59 +102,52 @@ def speed_row(results: Path = RESULTS) -> str:
     )
 
 
-def learn(
-    output: Path, fidelity: tuple[str, ...] = ("surrogate",), limit: int = 24, trials: int = 5, workers: Workers = HERE
-) -> pd.DataFrame:
-    """Train the README's recipe with ``trials`` seeds and test it at ``fast``; writes curve.csv and the models.
+def learn(output: Path, limit: int = 24, trials: int = 5, workers: Workers = HERE) -> pd.DataFrame:
+    """Train ``RECIPES`` with at most ``trials`` seeds each and test them at ``fast``; writes curve.csv and the models.
 
-    curve.csv has means over the test tubes of every seed and number of steps, and of ``RIVALS``.
+    curve.csv has means over the test tubes of every recipe, seed and number of steps, and of ``RIVALS``.
     """
-    from stable_baselines3 import PPO
+    from probe_agents.policies import load_bundle
 
-    from probe_agents.policies.bundle import from_sb3
-    from probe_agents.vec_env import ProbeVecEnv
-
-    if len(fidelity) != 1 or fidelity[0] not in STEPS:
-        raise ValueError(f"fidelity = {', '.join(fidelity)}: the recipe is trained in one of {', '.join(STEPS)}")
+    config, runs = TaskConfig().full_observation, []
+    for name, recipe in RECIPES.items():
+        runs += [(name, recipe, seed, output / "models") for seed in range(min(recipe.seeds, trials))]
     (output / "models").mkdir(parents=True, exist_ok=True)
-    steps, seeds, config = STEPS[fidelity[0]], range(trials), TaskConfig().full_observation
     with multiprocessing.get_context("spawn").Pool(workers.jobs) as pool:
-        seconds = pool.starmap(train, [(fidelity[0], seed, steps, output / "models") for seed in seeds], chunksize=1)
-    rows = pd.DataFrame(
-        {"policy": f"{seed} {total}", "seed": seed, "steps": total, "seconds": times[k]}
-        for seed, times in zip(seeds, seconds, strict=True)
-        for k, total in enumerate(steps)
-    )
-    policies, trained = named_policies(RIVALS, config), ProbeVecEnv(ENV, 1, fidelity="surrogate").config
-    for row in rows.to_dict("records"):
-        model = PPO.load(output / "models" / f"{row['seed']}-{row['steps']}", device="cpu")
-        policies[row["policy"]] = from_sb3(model, trained)
+        trained = pd.concat(pool.starmap(train, runs, chunksize=1), ignore_index=True)
+    policies = named_policies(RIVALS, config) | {
+        name: load_bundle(output / "models" / f"{name}.safetensors") for name in trained["policy"]
+    }
     plan = Plan(policies, load_contexts("test")[:limit], (0,), config, resolve_fidelity("fast", config.scene))
     means = run_plan(plan, None, batch=64).groupby("policy", sort=False)
     figures = means[["reward", "inspection_time_s", "share_within_limit", "lost_drive"]].mean().reset_index()
-    table = figures.merge(rows, how="left", on="policy")
-    write_manifest(output, write_tables(output, {"curve": table}), seeds=seeds)
+    table = figures.merge(trained, how="left", on="policy")
+    write_manifest(output, write_tables(output, {"curve": table}), seeds=range(trials))
     print(table.to_string())
     return table
 
 
-def train(fidelity: str, seed: int, steps: tuple[int, ...], folder: Path) -> list[float]:
-    """Train a seed and save the model SEED-STEPS after each number of steps; seconds of training until each."""
+def train(name: str, recipe: Recipe, seed: int, folder: Path) -> pd.DataFrame:
+    """Train a seed of a recipe; saves a bundle NAME-SEED-STEPS after each number of steps, with the time until then."""
+    import sb3_contrib
+    import stable_baselines3
     import torch
-    from stable_baselines3 import PPO
 
+    from probe_agents.policies import save_bundle
     from probe_agents.vec_env import ProbeVecEnv
 
     torch.set_num_threads(1)
-    env = ProbeVecEnv(ENV, 64, fidelity=fidelity, contexts="train")
-    model = PPO("MlpPolicy", env, n_steps=32, batch_size=256, device="cpu", seed=seed)
-    begin, seconds = time.perf_counter(), []
-    for total in steps:
-        model.learn(total - model.num_timesteps, reset_num_timesteps=False)
-        seconds.append(time.perf_counter() - begin)
-        model.save(folder / f"{seed}-{total}")
-        print(f"{fidelity}, seed {seed}: {total} steps, {seconds[-1]:.0f} s", flush=True)
-    return seconds
+    env = ProbeVecEnv(ENV, 64, fidelity="surrogate", contexts="train")
+    algorithm = getattr(stable_baselines3, recipe.algorithm, None) or getattr(sb3_contrib, recipe.algorithm)
+    model = algorithm("MlpPolicy", env, device="cpu", seed=seed, **recipe.settings)
+    begin, rows = time.perf_counter(), []
+    for steps in recipe.steps:
+        model.learn(steps - model.num_timesteps, reset_num_timesteps=False)
+        row = {"recipe": name, "seed": seed, "steps": steps, "seconds": time.perf_counter() - begin}
+        rows.append({"policy": f"{name}-{seed}-{steps}", **row, "tuning": recipe.tuning})
+        save_bundle(folder / f"{rows[-1]['policy']}.safetensors", model, env.config)
+        print(f"{rows[-1]['policy']}: {row['seconds']:.0f} s", flush=True)
+    return pd.DataFrame(rows)
 
 
 def measure_speed(output: Path, workers: Workers = HERE) -> dict[str, list[float]]:

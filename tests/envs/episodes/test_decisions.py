@@ -13,12 +13,13 @@ from probe_env.envs.episodes.actions import AVERAGED, changed_targets
 
 CONFIG = TaskConfig(**IncrementalInsertionEnv.defaults)
 PERIODS = CONFIG.periods_per_action
+AIR = {"air_supply_rates": CONFIG.air_supply_rates}
 TUBE = {"friction": 0.2, "helix_diameter": 1.5}
 
 
 def periods_of(actions, fidelity="surrogate"):
     """Steps of Insertion-v1 with the targets that these changes give, one for each period of an action."""
-    env = gym.make("probe_env/Insertion-v1", fidelity=fidelity)
+    env = gym.make("probe_env/Insertion-v1", fidelity=fidelity, config=AIR)
     env.reset(seed=3, options=TUBE)
     targets = env.unwrapped.episodes.actions
     for action in actions:
@@ -63,10 +64,10 @@ def test_an_action_is_some_periods_of_a_changed_target(fidelity):
 
 def test_targets_are_clipped_and_actions_outside_refused():
     env = gym.make("probe_env/IncrementalInsertion-v1", fidelity="surrogate")
-    env.reset(seed=3, options={"friction": 0.1, "helix_diameter": 2.5})  # keeps its drive with the least air
+    env.reset(seed=3, options=TUBE)
     for _ in range(9):
         *_, info = env.step(np.array([1.0, -1.0], dtype=np.float32))
-    assert (info["target_feed_speed"], info["target_air_supply_rate"]) == pytest.approx((0.4, 30.0 / 3600.0))
+    assert (info["target_feed_speed"], info["target_air_supply_rate"]) == pytest.approx((0.4, 72.5 / 3600.0))
     with pytest.raises(ValueError, match=r"action\[0\] = 1.5 is outside the accepted range -1 to 1"):
         env.unwrapped.step(np.array([1.5, 0.0], dtype=np.float32))
 
@@ -74,7 +75,11 @@ def test_targets_are_clipped_and_actions_outside_refused():
 @pytest.mark.parametrize("air", [0.5, -1.0])
 def test_every_episode_of_a_tube_is_paid_the_same_shaping(air):
     """2 per metre from 5 to 60 m, whether the probe arrives or loses its drive."""
-    config = {"periods_per_action": 90, "change_per_action": 1.0}  # at once to the end of the range
+    config = {
+        "periods_per_action": 90,
+        "change_per_action": 1.0,
+        "air_supply_rates": (0.008, 0.036),
+    }  # at once at an end
     env = gym.make("probe_env/IncrementalInsertion-v1", fidelity="surrogate", config=config)
     env.reset(seed=3, options=TUBE)
     total, ended = 0.0, False
@@ -101,8 +106,9 @@ def test_agent_acts_in_evaluations_as_in_its_environment(tmp_path):
     model = PPO("MlpPolicy", train, n_steps=16, batch_size=16, n_epochs=1, device="cpu", seed=0).learn(32)
     save_bundle(tmp_path / "a.safetensors", model, train.config)
     env = gym.make("probe_env/IncrementalInsertion-v1", fidelity="surrogate")
-    single = gym.make("probe_env/Insertion-v1", fidelity="surrogate")
-    for agent in (from_sb3(model, train.config), load_bundle(tmp_path / "a.safetensors", TaskConfig())):
+    single = gym.make("probe_env/Insertion-v1", fidelity="surrogate", config=AIR)
+    task = single.unwrapped.config
+    for agent in (from_sb3(model, train.config), load_bundle(tmp_path / "a.safetensors", task)):
         (observation, _), (row, _) = (each.reset(seed=3, options=TUBE) for each in (env, single))
         state = None
         for _ in range(40):
