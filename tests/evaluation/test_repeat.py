@@ -233,6 +233,7 @@ def test_evaluate_applies_the_permitted_speed(tmp_path, capsys):
     assert "<b>mine</b> is not allowed: 11.0 m on average above 0.25 m/s (test_frequency), by up to 0.15 m/s;" in page
 
     plan = plan_of([str(folder / "repeat-mine.csv")], read_case(tube, "test", 2), 1, "surrogate")
+    assert plan.plant == tube.stem
     run_plan(plan, tmp_path / "again", progress=False)
     again = read_evaluation(tmp_path / "again").profile
     inside = again["inserted_length"].between(10.0, 21.0)

@@ -3,6 +3,7 @@
 import itertools
 import json
 import re
+from datetime import date
 from html.parser import HTMLParser
 from types import SimpleNamespace
 from urllib.parse import unquote
@@ -122,12 +123,15 @@ def test_the_hours_of_a_bundle_are_printed_stored_and_reported(tmp_path, capsys)
 
     Episodes of 0.3 s, 719.7 s of setup and 720 s of withdrawal: 0.4 h a tube.
     """
-    evaluate_plan(make_plan(bundle=Bundle(tubes=50, setup_time=719.7, withdrawal_time=720.0)), tmp_path)
+    bundle = Bundle(tubes=50, setup_time=719.7, withdrawal_time=720.0)
+    evaluate_plan(make_plan(bundle=bundle, plant="unit 2"), tmp_path)
     printed, hours = capsys.readouterr().out, pd.read_csv(tmp_path / "bundle.csv")
     assert "Hours for 50 tubes" in printed
     assert hours["policy"].tolist() == ["feed 0", "feed 1"]
     np.testing.assert_allclose(hours[["hours", "hours_low", "hours_high"]], 20.0, rtol=1e-4)
-    heads = re.findall("<h2>(Hours .*?)</h2>", (tmp_path / "report.html").read_text())
+    page = (tmp_path / "report.html").read_text()
+    heads = re.findall("<h2>(Hours .*?)</h2>", page)
+    assert re.search(rf"Plant: unit 2 .*{date.today():%Y-%m}.* Name: ___", page)
     assert heads == ["Hours for 50 tubes", "Hours for 50 tubes: the other policies"]
     (tmp_path / "bundle.csv").unlink()
     assert main(["evaluate", str(tmp_path), "--against", "feed 1"]) == 0

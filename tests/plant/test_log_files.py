@@ -425,6 +425,21 @@ def test_repeated_overload_must_be_declared(tmp_path):
     assert read(path).notes == ()  # the air is switched on
 
 
+def test_columns_that_are_not_read_are_told_with_what_they_may_be(tmp_path):
+    path = tmp_path / "rig.csv"
+    head = (
+        "time [s];length [m];air [m3/h];Seilkraft [daN];Schwingung radial eff. [g];Raumtemp. [°C];Bemerkung;spare [N]"
+    )
+    path.write_text("\n".join([head, *(f"{t};{5 + 0.2 * t:.1f};63;0.3;0.1;20;;1" for t in range(5))]))
+    unread = "'Seilkraft [daN]', 'Schwingung radial eff. [g]', 'Raumtemp. [°C]', 'Bemerkung'"
+    options = ["--columns 'Seilkraft=root_tension'"]
+    options += [f"--columns 'Schwingung radial eff.={axis}_acceleration_rms'" for axis in ("radial", "axial")]
+    hint = f" If they are measurements: {', '.join(options)}."
+    assert read(path, ("spare=none",)).notes == (f"Not read: {unread}.{hint}",)
+    used = ("spare=none", "Seilkraft=root_tension", "Schwingung radial eff.=none", "Raumtemp.=none", "Bemerkung=none")
+    assert read(path, used).notes == ()
+
+
 def test_minutes_and_seconds(tmp_path):
     path, clocks = tmp_path / "rig.csv", [f"{k // 60 % 60:02}:{k % 60:02}.5" for k in range(3596, 3604)]
     log = read(rig(path, TENSIONS, times=clocks, time="Time"))

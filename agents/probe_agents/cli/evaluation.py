@@ -90,7 +90,7 @@ class Evaluate:
     policies: tyro.conf.Positional[Policies] = ("constant", "slow", "slow-down", "pi")
     """Names (see `probe-env agents`; ppo@2: training seed 2), schedules (.csv, .toml, .xlsx), laws (.json), agents
     (.safetensors).
-    NAME=FILE sets the name in tables, NAME@K=FILE also the training seed.
+    NAME=FILE sets the name in tables; NAME@0=FILE, NAME@1=FILE ... are training seeds of one method.
     shielded:POLICY raises the air supply where the drive would be too low."""
     sheet: Annotated[str | None, hide_default()] = None
     """Sheet of the workbooks among the schedules (FILE.xlsx#SHEET names one of one file); default: the first with known

@@ -97,6 +97,9 @@ class Calibrate:
     """Helix diameter of the tube of each log [m], or one for all; needed if the tube file lists several."""
     tubes: Annotated[tuple[str, ...], hide_default("NAME ...")] = ()
     """Name of the tube of each log; logs of one tube share a friction. Default: one tube for each helix diameter."""
+    check: File = None
+    """Another log of the tube of the first one, which is not fitted: its measurements are compared with those that the
+    calibration predicts (check.png)."""
     reading: tyro.conf.OmitArgPrefixes[ReadOptions] = field(default_factory=ReadOptions)
 
     def run(self) -> None:
@@ -114,11 +117,20 @@ class Calibrate:
         plant, target = plant_at(self.tube) or Plant(), self.output / "calibration.json"
         tube_text = calibration.tube_file(self.write_tube, target, self.tube) if self.write_tube else ""
         cases = calibration.read_cases(self.logs, plant, self.helix_diameters, self.tubes, self.reading)
+        other = None
+        if self.check:
+            tube = [cases[0].scene.tube.helix_diameter], [cases[0].tube]
+            (other,) = calibration.read_cases([self.check], plant, *tube, self.reading)
         result = calibration.calibrate(cases, plant, stored_response(), str(self.tube or "tube"))
-        write_json(target, result.to_json() | {"provenance": origin()})
         corner = calibration.draw_corner(result, self.output / "corner.png")
         pictures = [corner, calibration.draw_bands(result, self.output / "bands.png")]
         calibration.print_calibration(result, with_file=self.tube is not None)
+        checks = {}
+        if other:
+            checked = calibration.check_log(result, other)
+            checks["check"] = calibration.print_check(checked)
+            pictures.append(calibration.draw_bands(checked, self.output / "check.png"))
+        write_json(target, result.to_json() | checks | {"provenance": origin()})
         print_line(f"written: {', '.join(map(str, (target, *pictures)))}")
         if result.misfits:
             print("do not use this posterior: recommend refuses a tube.toml that names it")
@@ -167,6 +179,7 @@ class Recommend:
         from probe_agents.plant.response import stored_response
         from probe_agents.plant.target import a90_target, recommend_for_target
         from probe_agents.policies.cases import plant_at
+        from probe_agents.terminal.names import name_of
 
         target = None if self.find is None else a90_target(self.find)
         if target is not None and self.policy:
@@ -182,7 +195,9 @@ class Recommend:
         folder = self.folder or self.output.with_name(f"{self.output.stem}-confirmed")
         if self.schedules and not self.simulated:
             raise ValueError("schedules need the simulation: remove --no-simulated")
-        confirmation = Confirmation(folder, self.schedules, self.limit, self.fidelity) if self.simulated else None
+        name = name_of(self.tube) if self.tube else None
+        settings = folder, self.schedules, self.limit, self.fidelity, name
+        confirmation = Confirmation(*settings) if self.simulated else None
         plant = plant_at(self.tube)
         if is_misspecified(plant) and not self.anyway:
             raise ValueError(

@@ -109,11 +109,12 @@ class Unfinished(Manifest):
 
 
 class ReportSettings(Stored):
-    """``report.json``: the reference policy, the policies that are files of the user, and the bundle of tubes."""
+    """``report.json``: the reference policy, the policies that are files of the user, bundle and name of the plant."""
 
     against: str
     user_policies: tuple[str, ...] = ()
     bundle: Bundle | None = None
+    plant: str | None = None
 
     def to_json(self) -> dict[str, Any]:
         """Content of the file."""

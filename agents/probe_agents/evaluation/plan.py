@@ -72,6 +72,7 @@ class Plan:
         probes: "scene", or "random": context and seed select a ``Design``, the same for every policy.
         vibration: vibration map of fidelity "surrogate"; default: the shipped one.
         bundle: bundle of tubes whose hours are reported; None: no hours.
+        plant: name of the plant, for the report.
     """
 
     policies: Mapping[str, Policy]
@@ -82,6 +83,7 @@ class Plan:
     probes: Probes = "scene"
     vibration: VibrationMap | None = None
     bundle: Bundle | None = None
+    plant: str | None = None
 
     def folder(self, path: Path) -> ResultFolder:
         """The folder of the episodes; what is observed changes none, so it may differ."""

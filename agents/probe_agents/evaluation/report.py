@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from datetime import date
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -97,6 +98,7 @@ def _content(done: Evaluation, summary: pd.DataFrame, bundle: pd.DataFrame) -> d
     hours = [_row(texts) for texts in statistics.bundle_rows(bundle) if texts[0] != first.policy]
     return {
         "done": done,
+        "date": f"{date.today():%Y-%m-%d}",
         "task": task,
         "probe": task.scene.probe,
         "limit": limit_of(task),

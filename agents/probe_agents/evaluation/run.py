@@ -106,7 +106,8 @@ def plan_of(
     except ValueError as error:
         raise ValueError(f"{case.plant_label.name}: {explain(error)}") from error
     bundle = case.plant.bundle_for(config) if case.plant else None
-    return Plan(policies, case.contexts, range(seeds), config, episodes.fidelity, probes, case.vibration, bundle)
+    plant = case.plant_label.name if case.plant_label.title else None
+    return Plan(policies, case.contexts, range(seeds), config, episodes.fidelity, probes, case.vibration, bundle, plant)
 
 
 def evaluate_plan(
@@ -144,7 +145,7 @@ def report_settings(plan: Plan, against: str | None, users: Sequence[str]) -> Re
     if reference not in methods:
         raise ValueError(f"against = {against!r} is not one of the policies: {', '.join(plan.policies)}")
     names = tuple(dict.fromkeys(method_and_seed(name)[0] for name in users))
-    return ReportSettings(against=reference, user_policies=names, bundle=plan.bundle)
+    return ReportSettings(against=reference, user_policies=names, bundle=plan.bundle, plant=plan.plant)
 
 
 def report_again(folder: Path, against: str | None = None) -> Path:

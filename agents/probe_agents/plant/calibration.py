@@ -5,7 +5,7 @@ import logging
 import os
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -13,7 +13,9 @@ import numpy as np
 
 from probe_agents.plant.inference import (
     LIMIT,
+    Z90,
     Gain,
+    Likelihood,
     LogCase,
     Posterior,
     Sliding,
@@ -25,11 +27,12 @@ from probe_agents.plant.logs import DETECTED, read_log
 from probe_agents.plant.prior import UNKNOWNS, Prior, prior_of
 from probe_agents.plant.response import CHANNELS, Response, metres_of
 from probe_agents.records.cells import ReadOptions
-from probe_agents.records.quantities import HOUR
+from probe_agents.records.quantities import HOUR, IGNORED
 from probe_agents.records.shipped import file_or_shipped
 from probe_agents.terminal.names import name_of, name_problem
 from probe_agents.terminal.tables import print_table, print_terms
 from probe_env import Plant
+from probe_env.arrays import FloatArray
 from probe_env.files import FileError
 from probe_env.physics.model.chain import air_speed
 from probe_env.settings import within
@@ -48,6 +51,10 @@ POSTERIOR: Final = re.compile(r"^posterior *=.*\n+", re.MULTILINE)
 SIMPLER: Final = 0.8
 """Scatter of the tension about the study's closed form over that about the whole model's: below it a log is of the
 study's model. It is 0.06 to 0.61 for eight such logs, and above 7 for 16 of the whole model (measured once)."""
+QUESTION: Final = "are its scale, zero and unit right, and bore, floats and air those of the tube file?"
+"""What to ask first where a channel deviates from the model."""
+SLOW: Final = 0.9
+"""Fraction of the task's least feed up to which rows of a log are left out; the rest allows for the encoder's noise."""
 BAND_DRAWS: Final = 64
 """Draws in a picture of bands."""
 
@@ -75,6 +82,16 @@ class Calibration:
         low, high = np.quantile(draws, [(1.0 - LEVEL) / 2.0, (1.0 + LEVEL) / 2.0])
         return {"mean": float(draws.mean()), "low": float(low), "high": float(high)}
 
+    def bands(self, number: int) -> FloatArray:
+        """(3, m, c) 5th, 50th and 95th percentile that is expected of the channels of a log [SI]."""
+        likelihood, rng = self.posterior.likelihood, np.random.default_rng(number)
+        draws = self.posterior.draws[likelihood.tube_indices[number]]
+        table = draws[rng.choice(len(draws), min(BAND_DRAWS, len(draws)), replace=False)]
+        deviations, spread = likelihood.deviations(number, table)
+        mean = likelihood.observed[number] - deviations * spread
+        sample = 10.0 ** (mean + spread * rng.normal(size=mean.shape))
+        return np.asarray(np.quantile(sample, [(1.0 - LEVEL) / 2.0, 0.5, (1.0 + LEVEL) / 2.0], axis=0))
+
     @property
     def misfits(self) -> list[str]:
         """Reasons why the model cannot have produced these logs, as texts; empty if it can."""
@@ -86,17 +103,25 @@ class Calibration:
         ]
         for case, misfit, gauge in zip(self.cases, self.posterior.misfit, self.gains, strict=True):
             reasons += [f"{case.name}: the column {fault}" for fault in case.faults]
-            if gauge and gauge.ratio > LIMIT and not case.faults:
+            wrong = [k for k in range(len(CHANNELS)) if misfit[k] > limits[k]]
+            scaled = gauge is not None and gauge.ratio > LIMIT and not case.faults
+            cures, cure = [0] if scaled else wrong, ""
+            if len(cures) == 1 < len(case.metres.measured):
+                head = case.heads.get(CHANNELS[cures[0]], CHANNELS[cures[0]])
+                cure = f" If not, or if you cannot tell, calibrate without it: --columns '{head}={IGNORED}'."
+            if gauge and scaled:
                 reasons.append(
-                    f"{case.name}: the root tension looks {abs(gauge.gain - 1.0):.0%} too"
-                    f" {'high' if gauge.gain > 1.0 else 'low'}: check the load cell's scale"
+                    f"{case.name}: the load cell seems to read {abs(gauge.gain - 1.0):.0%} too"
+                    f" {'high' if gauge.gain > 1.0 else 'low'}: {QUESTION}{cure}"
                     f" (2 log likelihood ratio {gauge.ratio:.1f}, limit {LIMIT:g})"
                 )
-            for k, name in enumerate((*CHANNELS, "all channels together")):
-                if misfit[k] > limits[k]:
+            for k in wrong or [len(CHANNELS)]:
+                if misfit[k] > limits[k] and not (k == 0 and scaled):
+                    name = (*CHANNELS, "measurements together")[k].replace("_", " ")
                     reasons.append(
-                        f"{case.name}: {name.replace('_', ' ')} deviates by {np.sqrt(misfit[k]):.1f} standard"
-                        f" deviations (rms) from the model; 99 % of simulated logs are below {np.sqrt(limits[k]):.1f}"
+                        f"{case.name}: the {name} cannot be of this tube: {QUESTION}{cure}"
+                        f" ({np.sqrt(misfit[k]):.1f} standard deviations (rms) from the model; 99 % of simulated logs"
+                        f" are below {np.sqrt(limits[k]):.1f})"
                     )
         return reasons
 
@@ -111,7 +136,8 @@ class Calibration:
             at = (self.posterior.draws[:, :, column] - low) / (high - low)
             for side, near in (("lower", at < 0.06), ("upper", at > 0.94)):
                 if near.mean() > 0.5:
-                    texts.append(f"{UNKNOWNS[name].text} is at its {side} bound")
+                    cure = "check bore, floats, air and gauges, or widen its range in the tube file"
+                    texts.append(f"{UNKNOWNS[name].text} is at its {side} bound: {cure}")
         return texts
 
     @property
@@ -204,18 +230,27 @@ def read_cases(
     cases = []
     for label, file, tube, diameter in zip(labels, files, names, diameters, strict=True):
         scene = plant.scene.model_copy(update={"tube": {"helix_diameter": diameter}})
-        log = read_log(file, options)
+        log, min_feed = read_log(file, options), plant.config.feed_speeds[0]
         if fatal := next((fault.text for fault in log.faults if fault.fatal), ""):
             raise FileError(file, f"column {fatal}")
-        metres = metres_of(log)
+        metres, notes = metres_of(log, SLOW * min_feed), [*log.notes]
+        slow = (log.feed_speed > 0.0) & (log.feed_speed <= SLOW * min_feed)
+        if slow.any():
+            seconds, length = np.diff(log.time, append=log.time[-1])[slow].sum(), log.inserted_length[slow]
+            notes.append(
+                f"Left out: {seconds:.3g} s between {length.min():.4g} and {length.max():.4g} m with a feed below"
+                f" {min_feed:g} m/s, the task's least, at which friction is not modelled well."
+            )
         minimum = metres.feed / air_speed(scene, 1.0)
         if (slow := metres.air <= minimum).any():
             k = int(slow.argmax())
             problem = f"air_supply = {HOUR * metres.air[k]:.4g} m3/h at an inserted length of {metres.length[k]:g} m"
             hint = f"calibration needs air that is faster than the feed, there more than {HOUR * minimum[k]:.3g} m3/h"
             raise FileError(file, f"{problem}: {hint} - is the column or its unit wrong?")
-        faults = tuple(fault.text for fault in log.faults if fault.channel in CHANNELS)
-        cases.append(LogCase(label, tube, scene, metres, faults))
+        faults = tuple(
+            f"{fault.text}: leave it out, --columns '{log.heads[fault.channel]}={IGNORED}'" for fault in log.faults
+        )
+        cases.append(LogCase(label, tube, scene, metres, faults, tuple(notes), log.heads))
     return cases
 
 
@@ -249,6 +284,28 @@ def calibrate(
     return Calibration(prior, posterior, sliding, outside, gains, simpler)
 
 
+def check_log(calibration: Calibration, case: LogCase) -> Calibration:
+    """Predict a log of one of the tubes, which is not fitted; its misfit is that at the draw that explains it best."""
+    draws = calibration.posterior.draws[[list(calibration.sliding).index(case.tube)]]
+    likelihood = Likelihood(calibration.posterior.likelihood.response, [case])
+    misfits = np.array([likelihood.misfit(0, draw) for draw in draws[0, :: draws.shape[1] // BAND_DRAWS]])
+    posterior = Posterior(draws, [misfits[misfits[:, -1].argmin()]], likelihood)
+    return replace(calibration, posterior=posterior, sliding={case.tube: None}, outside=[], gains=[None], simpler=[])
+
+
+def print_check(checked: Calibration) -> dict[str, Any]:
+    """Print and return the verdict on a log of ``check_log``, and its channels relative to what is predicted."""
+    case, chosen = checked.cases[0], checked.posterior.likelihood.chosen[0]
+    ratios = 10.0 ** (checked.posterior.likelihood.observed[0] - np.log10(checked.bands(0)[1])).mean(axis=0)
+    rows = [(CHANNELS[k].replace("_", " "), f"{ratio:.3g}") for k, ratio in zip(chosen, ratios, strict=True)]
+    verdict = f"the calibration {'does not predict' if checked.misfits else 'predicts'} {case.name}"
+    print_table(f"Check by {case.name}", ("", "measured / predicted"), rows, left=1)
+    print_terms({"verdict": verdict})
+    for text in (*checked.misfits, *case.notes):
+        print_terms({"note": text})
+    return {"log": case.name, "verdict": verdict, "reasons": checked.misfits}
+
+
 def tube_file(target: Path, posterior: Path, tube: Path | None) -> str:
     """Text of a tube file that names a calibration, above the tables of ``tube`` or the instrument of the example.
 
@@ -280,6 +337,12 @@ def print_calibration(calibration: Calibration, with_file: bool = True) -> None:
     for name, unknown in UNKNOWNS.items():
         if name in prior.quantile and name != "friction":
             estimates.append((unknown.text, [*calibration.summary(name).values()], unknown.unit))
+    for case, drag in zip(calibration.cases, calibration.posterior.likelihood.drags, strict=True):
+        if drag:
+            mean, factor = drag[0], np.exp(Z90 * drag[1])
+            estimates.append(
+                (f"drag coefficient by the pressure of {case.name}", (mean, mean / factor, mean * factor), "")
+            )
     rows = [(text, *(f"{value:.4g}" for value in values), unit) for text, values, unit in estimates]
     print_table("Estimates: means with 90 % intervals", ("", "mean", "low", "high", "unit"), rows, left=1)
     logs = (
@@ -301,7 +364,8 @@ def print_calibration(calibration: Calibration, with_file: bool = True) -> None:
         terms["fixed"] = "in the tube file: " + "; ".join(text.strip() for text in fixed)
     outside = (f"outside the training range of the response: {text}" for text in calibration.outside)
     print_terms({"verdict": calibration.verdict})
-    for text in (*calibration.misfits, *calibration.at_bounds, *outside):
+    notes = (f"{case.name}: {text}" for case in calibration.cases for text in case.notes)
+    for text in (*calibration.misfits, *calibration.at_bounds, *outside, *notes):
         print_terms({"note": text})
     print_terms(terms)
 
@@ -338,19 +402,13 @@ def draw_bands(calibration: Calibration, path: Path) -> Path:
 
     from probe_agents.records.drawing import BLUE, GREY, escape_dollars, save
 
-    likelihood, cases = calibration.posterior.likelihood, calibration.cases
+    cases = calibration.cases
     present = [name for name in CHANNELS if any(name in case.metres.measured for case in cases)]
     figure = Figure(figsize=(4.6 * len(cases) + 1.0, 2.1 * len(present) + 0.6), layout="constrained")
     axes = figure.subplots(len(present), len(cases), squeeze=False, sharex="col", sharey="row")
-    rng = np.random.default_rng(0)
     for number, case in enumerate(cases):
-        draws = calibration.posterior.draws[likelihood.tube_indices[number]]
-        table = draws[rng.choice(len(draws), min(BAND_DRAWS, len(draws)), replace=False)]
-        deviations, spread = likelihood.deviations(number, table)
-        mean = likelihood.observed[number] - deviations * spread
-        sample = 10.0 ** (mean + spread * rng.normal(size=mean.shape))
-        low, middle, high = np.quantile(sample, [0.05, 0.5, 0.95], axis=0)
-        names = [CHANNELS[k] for k in likelihood.chosen[number]]
+        low, middle, high = calibration.bands(number)
+        names = [CHANNELS[k] for k in calibration.posterior.likelihood.chosen[number]]
         for axis, name in zip(axes[:, number], present, strict=True):
             label, scale = LABELS[CHANNELS.index(name)]
             if number == 0:

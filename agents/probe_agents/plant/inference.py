@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Sequence
-from typing import Final, NamedTuple
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -15,6 +16,7 @@ from probe_agents.plant.prior import UNKNOWNS, Prior
 from probe_agents.plant.response import CHANNELS, DRAG, FLOORS, Metres, Response, observed, steady_tension
 from probe_env import Scene
 from probe_env.arrays import FloatArray
+from probe_env.physics.model.chain import air_pressure, air_speed
 
 MIN_METRES: Final = 8
 SENSOR: Final = np.array([0.005, 0.05, 0.05, 0.05])
@@ -45,19 +47,24 @@ LIMIT: Final = 4.5
 of ``CORRELATION`` (largest: 4.3), and by 30 of them with 1.5 times the tension (measured once, no stored run)."""
 DRAWN, STARTS, STEP = 2048, 4, 1e-4
 
+PRESSURE_SCATTER: Final = 0.03
+"""Relative standard deviation of the drag by the pressure over a whole log: 2 % for the acceleration of the air and 1 %
+for the change of u / w, which ``air_pressure`` neglects, and 2 % for the gauges of pressure and air."""
 SLIDING_SCATTER: Final = 0.02
 """Relative standard deviation of the simulated mean tension from the closed form, over a whole log."""
 Z90: Final = 1.645
 
 
 class LogCase(NamedTuple):
-    """A log to fit: name, name of its tube (logs of one tube share a friction), scene, metres and faults, as texts."""
+    """A log to fit: name, name of its tube (logs of one tube share a friction), scene, metres, and texts about it."""
 
     name: str
     tube: str
     scene: Scene
     metres: Metres
     faults: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  # of the file, and what was left out of it
+    heads: Mapping[str, str] = MappingProxyType({})  # channel -> heading, for --columns
 
 
 class Posterior(NamedTuple):
@@ -89,6 +96,7 @@ class Likelihood:
             }
             for case, chosen in zip(cases, self.chosen, strict=True)
         ]
+        self.drags = [drag_of_pressure(case) for case in cases]
         self.settled: list[FloatArray] = []
 
     def deviations(self, number: int, table: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -116,7 +124,13 @@ class Likelihood:
         for number, tube in enumerate(self.tube_indices):
             deviations, spread = self.deviations(number, draws[tube])
             total += sum(self.block(number, channels, deviations, spread) for channels in self.blocks[number])
+            total += self.pressure(number, draws[tube])
         return total
+
+    def pressure(self, number: int, table: FloatArray) -> FloatArray:
+        """(n,) contribution of the inlet pressure of a case at (n, 4), which measures the drag; 0 without it."""
+        mean, deviation = self.drags[number] or (1.0, np.inf)
+        return np.asarray(-0.5 * (np.log(table[:, DRAG] / mean) / deviation) ** 2)
 
     def block(self, number: int, channels: tuple[int, ...], deviations: FloatArray, spread: FloatArray) -> FloatArray:
         """(n,) contribution of some channels of a case; 0 where the log has none of them."""
@@ -239,6 +253,7 @@ class GainLikelihood:
         table = self.prior.values(normal, 1)[0]
         deviations, spread = self.likelihood.deviations(self.number, table)
         total = self.likelihood.block(self.number, VIBRATION, deviations, spread)
+        total += self.likelihood.pressure(self.number, table)
         scatter = spread[..., self.column].T
         white, of_gain = (
             solve_triangular(self.factor, values, lower=True, check_finite=False)
@@ -255,6 +270,44 @@ class GainLikelihood:
         values = -self.logarithm(np.vstack([normal, normal + steps, normal - steps]))[0]
         ahead, behind = np.split(values[1:], 2)
         return float(values[0]), (ahead - behind) / (2.0 * STEP)
+
+
+def drag_of_pressure(case: LogCase) -> tuple[float, float] | None:
+    """Drag coefficient by the inlet pressure p of a log, and its relative standard deviation; None without a pressure.
+
+    In ``air_pressure`` p^2 is linear: (p^2 - p_e^2) / (2 p_e) = c D + W + k Q^2, with the drag D of the inserted cable
+    over the free cross-section for a coefficient of 1, the losses W at the wall, and those of hose and tube between
+    gauge and helix at an air supply Q, k Q^2. D grows with the inserted length and k Q^2 does not, so least squares of
+    both sides, relative to the expected pressure, give c and k.
+    """
+    metres, air = case.metres, case.scene.air
+    if "inlet_pressure" not in metres.measured:
+        return None
+
+    def head(pressure: FloatArray) -> FloatArray:
+        return np.asarray((pressure**2 - air.exit_pressure**2) / (2.0 * air.exit_pressure))
+
+    def expected(coefficient: float) -> FloatArray:
+        scene = case.scene.model_copy(update={"air": {"drag_coefficient": coefficient}})
+        inserted, speed = metres.length, metres.air * air_speed(scene, 1.0)
+        feed: Any = metres.feed  # (m,), as the other arguments
+        return head(air_pressure(scene, inserted, inserted, feed, speed))
+
+    drag = expected(2.0) - expected(1.0)
+    total, lost = expected(air.drag_coefficient), metres.air**2
+    values = head(air.exit_pressure + metres.measured["inlet_pressure"]) - (expected(1.0) - drag)
+    columns = np.column_stack([drag, lost]) / total[:, None]
+    (mean, loss), *_ = np.linalg.lstsq(columns, values / total, rcond=None)
+    left = values / total - columns @ [mean, loss]
+    correlation = _correlation(left)
+    variance = np.linalg.inv(columns.T @ columns)[0, 0] * left.var() * (1.0 + correlation) / (1.0 - correlation)
+    mean = max(float(mean), 1e-3 * air.drag_coefficient)
+    return mean, float(np.hypot(np.sqrt(variance) / mean, PRESSURE_SCATTER))
+
+
+def _correlation(left: FloatArray) -> float:
+    """Correlation of neighbouring residuals (m,)."""
+    return float(np.clip(np.corrcoef(left[:-1], left[1:])[0, 1], 0.0, 0.95)) if len(left) > 3 else 0.95
 
 
 class Sliding(NamedTuple):
@@ -296,7 +349,7 @@ def fit_sliding(cases: Sequence[LogCase], prior: Prior) -> Sliding | None:
     bounds = ([np.log(UNKNOWNS["friction"].low / 2.0), -1.0], [np.log(1.0), 1.0])
     fit = least_squares(weighted(10.0), [np.log(0.15), 0.0], bounds=bounds, loss="soft_l1")
     left = deviations(fit.x)
-    correlation = float(np.clip(np.corrcoef(left[:-1], left[1:])[0, 1], 0.0, 0.95)) if len(left) > 3 else 0.95
+    correlation = _correlation(left)
     weight = 1.0 / np.sqrt(max(left.var(), 1e-6) * (1.0 + correlation) / (1.0 - correlation))
     fit = least_squares(weighted(float(weight)), fit.x, bounds=bounds, loss="soft_l1")
     jacobian = np.asarray(fit.jac)

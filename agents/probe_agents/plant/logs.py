@@ -67,6 +67,7 @@ class Log:
         deviation: largest distance of the interpolated length from the band of ``CleanLog`` [m].
         gaps: (g, 2) inserted lengths between which rows or eddy-current noise are missing [m].
         faults: what is wrong with measured channels.
+        heads: quantity -> heading of its column, as ``--columns`` names it.
     """
 
     time: FloatArray
@@ -79,6 +80,7 @@ class Log:
     deviation: float = 0.0
     gaps: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
     faults: tuple[Fault, ...] = ()
+    heads: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
 
     @property
     def dwells(self) -> tuple[Dwell, ...]:
@@ -148,7 +150,8 @@ def read_log(path: str | Path, options: ReadOptions = DETECTED, bounds: Bounds =
     deviation = float(outside(whole.time, rows, length, whole.band).max())
     speed, air, measured = np.append(speed, speed[-1]), values.pop("air_supply"), MappingProxyType(values)
     gaps = np.interp(whole.gaps, time, rounded)
-    return Log(time, rounded, speed, air, measured, whole.repairs, whole.notes, deviation, gaps, whole.faults)
+    heads = {name: table.name(k) for name, k in channels.indices.items()}
+    return Log(time, rounded, speed, air, measured, whole.repairs, whole.notes, deviation, gaps, whole.faults, heads)
 
 
 def log_segments(log: Log, config: TaskConfig) -> Segments:

@@ -8,7 +8,7 @@ import math
 import warnings
 from bisect import bisect_right
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -76,6 +76,7 @@ class Confirmation:
     schedules: tuple[str, ...] = ()  # schedules to compare with, specs as for evaluate
     limit: int = 12  # number of tubes; 0: all
     fidelity: str = "fast"
+    plant: str | None = None  # name for the report
 
     def check(self, plant: Plant | None) -> None:
         """Raise ValueError if a setting is not valid; warnings follow in ``run``."""
@@ -89,6 +90,7 @@ class Confirmation:
         print(f"simulated in {len(case.contexts)} other samples at {self.fidelity}:")
         plan = plan_of((*named, *self.schedules, *BASELINES), case, 1, self.fidelity)
         names = [name_and_spec(spec)[0] for spec in self.schedules] or [NAME]  # for the report's first line
+        plan = replace(plan, plant=self.plant)
         return evaluate_plan(plan, self.folder, against=NAME, workers=workers, users=names)
 
 

@@ -26,7 +26,7 @@ from probe_env.physics.closed_forms import drag_per_metre, entrance_tension, sli
 from probe_env.physics.model.chain import air_speed
 
 STORED: Final = Path(__file__).parent / "data" / "response.npz"
-CHANNELS: Final = MEASURED
+CHANNELS: Final = MEASURED[:4]
 RESTART: Final = 3.0
 """Time after a standstill that is ignored [s]: the probe accelerates."""
 MIN_FED: Final = 0.5
@@ -67,23 +67,24 @@ class Metres:
     length: FloatArray  # inserted, at their middle [m]
     feed: FloatArray  # [m/s]
     air: FloatArray  # [m3/s]
-    measured: dict[str, FloatArray]  # channel -> mean tension [N], rms of accelerations [m/s2], noise [m]
+    measured: dict[str, FloatArray]  # mean tension [N] and pressure [Pa], rms of accelerations [m/s2] and noise [m]
 
     def __len__(self) -> int:
         return len(self.length)
 
 
-def metres_of(log: Log) -> Metres:
+def metres_of(log: Log, min_feed: float = 0.0) -> Metres:
     """Average a log over metres: means over time, root mean squares for rms channels.
 
-    Standstills, the following ``RESTART`` and metres with a share of feed below ``MIN_FED`` are ignored.
+    Rows with a feed of at most ``min_feed`` [m/s], the following ``RESTART``, and metres of which less than ``MIN_FED``
+    remains are ignored.
     """
-    names = [name for name in CHANNELS if name in log.measured]
+    names = [name for name in MEASURED if name in log.measured]
     lasts = np.diff(log.time, append=log.time[-1] + (log.time[-1] - log.time[-2] if len(log.time) > 1 else 1.0))
-    stood = np.where(log.feed_speed <= 0.0, log.time + lasts, -np.inf)
+    stood = np.where(log.feed_speed <= min_feed, log.time + lasts, -np.inf)
     since = log.time - np.maximum.accumulate(stood)
     fed = log.feed_speed * lasts
-    good = (log.feed_speed > 0.0) & (since >= RESTART)
+    good = (log.feed_speed > min_feed) & (since >= RESTART)
     metre = np.floor(log.inserted_length + 0.5 * fed).astype(int)[good]
     first = int(metre.min(initial=0))  # there may be no metre with feed
     seconds = np.bincount(metre - first, lasts[good])

@@ -65,7 +65,8 @@ class ReadOptions:
         columns: Quantities of columns with unrecognised headings: "Vorschub [mm/s]=feed_speed", "v=feed_speed[mm/s]",
             with sign and factor "encoder=inserted_length[-m/4096]". Repeatable.
             Quantities: time, date and fraction (of a clock in another column), inserted_length, feed_speed, air_supply,
-            root_tension, radial_acceleration_rms, axial_acceleration_rms, rf_noise_rms; none: leave the column out.
+            root_tension, radial_acceleration_rms, axial_acceleration_rms, rf_noise_rms, inlet_pressure (above the
+            exit's); none: leave the column out.
         missing: Text or number that marks a missing value, in addition to NaN, -999.25, 9999 and the like. Repeatable.
         time_format: Form of the times for strptime, like "%d.%m.%y %H:%M:%S"; default: detected.
         rate: Rows per second of a file without a column of time [Hz].

@@ -38,6 +38,7 @@ _ALL = (
     Quantity("radial_acceleration_rms", "m/s2", "m/s**2", 0.0, 1e6, rms=True),
     Quantity("axial_acceleration_rms", "m/s2", "m/s**2", 0.0, 1e6, rms=True),
     Quantity("rf_noise_rms", "m", "m", 0.0, 1.0, rms=True),
+    Quantity("inlet_pressure", "Pa", "Pa", 0.0, 1e7, noise=2e3),
     Quantity("return_feed_speed", "m/s", "m/s", 0.0, _FEED),
     Quantity("return_air_supply", "m3/h", "m**3/s", 0.0, _AIR, scale=1.0 / HOUR),
 )
@@ -67,6 +68,7 @@ _HEADS: Final = {
     "radial_acceleration_rms": "radial acceleration, acceleration radial, radialbeschleunigung, beschleunigung radial",
     "axial_acceleration_rms": "axial acceleration, acceleration axial, axialbeschleunigung, beschleunigung axial",
     "rf_noise_rms": "rf noise, noise, eddy current noise, rauschen, hf rauschen, signalrauschen, wirbelstromrauschen",
+    "inlet_pressure": "air pressure at the inlet, pressure at the inlet, eingangsdruck",
     "return_feed_speed": "return feed, return speed",
     "return_air_supply": "return air, return air flow",
     DATE: "day, datum, tag, messdatum",

@@ -18,7 +18,7 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from probe_agents.records.cells import ReadOptions, Table, listed, read_table, unknown_head
+from probe_agents.records.cells import HEADS_SHOWN, ReadOptions, Table, listed, read_table, unknown_head
 from probe_agents.records.quantities import (
     DATE,
     FRACTION,
@@ -120,6 +120,7 @@ def read_channels(path: Path, options: ReadOptions) -> Channels:
     for name in RETURN:
         log.indices.pop(name, None)
     values = log.values()
+    log.note_unread()
     if options.rate is not None:
         values["time"], log.indices["time"] = np.arange(len(table.lines)) / options.rate, 0
     if options.air_supply is not None:
@@ -257,6 +258,23 @@ class _Conversion:
                 hint = f"name it: --columns '{unknown_head(heads)}={name}'"
                 hint = f"{hints[name]}, or {hint}" if name in hints else hint
                 raise FileError(self.table.path, f"{problem} - {hint}")
+
+    def note_unread(self) -> None:
+        """Note the columns that are not read, with the missing measurements that each may be, by its unit."""
+        table, heads, options = self.table, list[str](), list[str]()
+        for k, head in enumerate(table.heads):
+            named = any(option.means(head) for option in self.options.named)
+            if not head or named or quantity_of(head) or _QUALITY.fullmatch(normalized(head)):
+                continue
+            heads.append(head)
+            if unit := table.written_unit(k):
+                for name in (name for name in MEASURED if name not in self.indices):
+                    with suppress(ValueError, ModuleNotFoundError):
+                        si_factor(unit, QUANTITIES[name])
+                        options.append(table.option(k, name))
+        if heads:
+            hint = f" If they are measurements: {', '.join(options[:HEADS_SHOWN])}." if options else ""
+            self.notes.append(f"Not read: {listed(heads)}.{hint}")
 
     def values(self) -> dict[str, FloatArray]:
         """Values in SI units (rows,) of the quantities; missing ones are NaN."""
