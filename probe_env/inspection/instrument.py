@@ -14,7 +14,7 @@ CARRIER_FRACTION: Final = 0.25
 
 
 class Instrument(Model):
-    """Sampling, filter and test frequency of the instrument, and the highest speed of the procedure; all optional."""
+    """Sampling, filter and test frequency of the instrument, and limits of the procedure; all optional."""
 
     sample_rate: Annotated[float, quantity(1.0, 1e6, "Hz")] | None = None
     """Samples per second; with ``samples_per_mm``."""
@@ -26,6 +26,8 @@ class Instrument(Model):
     """Lowest test frequency in use."""
     highest_speed: Annotated[float, quantity(1e-3, 2.0, "m/s")] | None = None
     """Highest speed of the procedure, such as that of its qualification."""
+    highest_a90: Annotated[float, quantity(1.0, 100.0, "% of the wall")] | None = None
+    """Largest a90 that the procedure accepts [% of the wall]: schedules that miss such flaws are not advised."""
     repeat_length: Annotated[float, quantity(0.1, 100.0, "m")] = 2.0
     """Length of the shortest interval to repeat; shorter gaps between two intervals are repeated, too."""
 

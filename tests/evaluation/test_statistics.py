@@ -262,15 +262,16 @@ def test_bundle_hours_of_two_tubes_in_closed_form(tubes):
 def test_hours_and_second_passes_of_equal_times():
     """Shares as in Brown, Cai and DasGupta 2001 (Jeffreys, n = 10); one simulated tube has a share but no interval."""
     times, flags = np.full(10, 360.0), np.arange(10) < 1
-    hours, fraction, added = statistics.bundle_hours(times, flags, 500)
+    hours, fraction, added, every = statistics.bundle_hours(times, flags, 500)
     assert astuple(hours) == pytest.approx((50.0, 50.0, 50.0))
+    assert astuple(every) == pytest.approx([50.0 + hours for hours in astuple(added)])
     assert astuple(fraction) == pytest.approx((0.1, 0.011, 0.381), abs=5e-4)
     low, high = betabinom.ppf((0.025, 0.975), 500, 1.5, 9.5) * 0.1
     assert added.mean == pytest.approx(5.0)
     assert (added.low, added.high) == pytest.approx((low, high), rel=0.25)  # 0.6 and 19 h; 5 standard errors of 2000
     ends = [astuple(statistics.bundle_hours(times, np.full(10, again), 500)[1]) for again in (False, True)]
     assert ends == [pytest.approx((0.0, 0.0, 0.217), abs=5e-4), pytest.approx((1.0, 0.783, 1.0), abs=5e-4)]
-    hours, fraction, added = statistics.bundle_hours(times[:1], flags[:1], 500)
+    hours, fraction, added, _ = statistics.bundle_hours(times[:1], flags[:1], 500)
     assert (hours.text(), fraction.mean, added.text()) == ("50", 1.0, "50")
 
 

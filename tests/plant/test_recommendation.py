@@ -11,7 +11,7 @@ from probe_agents.cli import main
 from probe_agents.plant import recommendation
 from probe_agents.plant.plc_export import recipe_of
 from probe_agents.plant.recommendation import expected_costs, optimal_schedule, root_compression, safe_air
-from probe_agents.plant.response import Metres, stored_response
+from probe_agents.plant.response import CHANNELS, Metres, stored_response
 from probe_agents.policies.cases import load_case
 from probe_agents.policies.catalogue import DATA
 from probe_agents.policies.on_map import MARGIN
@@ -94,6 +94,33 @@ def test_interval_of_the_expected_reward():
     spacing = np.diff(lengths, prepend=lengths[0], append=lengths[-1])
     rewards = (config.progress_weight - costs) @ (0.5 * (spacing[1:] + spacing[:-1]))
     assert (low, high) == pytest.approx(np.quantile(rewards, [0.05, 0.95]))
+
+
+def test_sensitivity_of_values_that_are_not_measured():
+    """Friction and stiffness of the default plant; more friction and a softer contact vibrate more, see the response.
+
+    At 0.2 m/s and 63 m3/h the vibration at 30 m is that of the response; what is in the file or calibrated is left out.
+    """
+    config, schedule = Plant().config, Schedule("inserted_length", "linear", (5.0, 60.0), (0.2, 0.2), (0.0175, 0.0175))
+    header, *rows = recommendation.sensitivity(None, TUBES, schedule, RESPONSE, config)
+    assert header[1] == "vibration at 30 m over its limit"
+    for row in rows:
+        for cell in row[1:]:
+            low, high = map(float, cell.split(" to "))
+            assert low < high
+    scene, place = config.scene, Metres(np.array([30.0]), np.array([0.2]), np.array([0.0175]), {})
+    stiff = np.array([[0.15, 2e5, scene.air.drag_coefficient, scene.probe.damping_time]])
+    level = 10.0 ** RESPONSE.predict(stiff, place, scene)[0][0, 0, CHANNELS.index("rf_noise_rms")] / config.limit
+    tube = Context(friction=0.15, helix_diameter=scene.tube.helix_diameter)
+    alone = recommendation.sensitivity(None, [tube], schedule, RESPONSE, config)[2]
+    assert alone[1].startswith(f"{level:.2g} to ")
+    measured = Plant(contact={"friction": 0.15})
+    assert [row[0] for row in recommendation.sensitivity(measured, TUBES, schedule, RESPONSE, config)] == [
+        "not measured",
+        "contact stiffness x2 to /2",
+    ]
+    both = Plant(contact={"friction": 0.15}, posterior={"contact_stiffness": (1e5, 1.1e5)})
+    assert recommendation.sensitivity(both, TUBES, schedule, RESPONSE, config) == ()
 
 
 def test_plants_without_an_answer_are_refused():

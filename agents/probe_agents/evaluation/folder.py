@@ -24,7 +24,7 @@ from probe_agents.evaluation.kpis import (
     PROFILE_COLUMNS,
     PROFILE_COLUMNS_INSTRUMENT,
 )
-from probe_agents.evaluation.statistics import grouped
+from probe_agents.evaluation.statistics import grouped, with_goal
 from probe_agents.records.models import Key, Record, Stored, read_json, require
 from probe_agents.records.result_folder import SETTING, Journal, check_hashes
 from probe_agents.records.tables import Columns, Kind, check_table, read_csv, read_parquet
@@ -109,12 +109,16 @@ class Unfinished(Manifest):
 
 
 class ReportSettings(Stored):
-    """``report.json``: the reference policy, the policies that are files of the user, bundle and name of the plant."""
+    """``report.json``: the reference policy, the policies that are files of the user, bundle and name of the plant.
+
+    ``sensitivity`` is of a recommendation, whose report begins with the best policy: rows under its header, or none.
+    """
 
     against: str
     user_policies: tuple[str, ...] = ()
     bundle: Bundle | None = None
     plant: str | None = None
+    sensitivity: tuple[tuple[str, ...], ...] | None = None
 
     def to_json(self) -> dict[str, Any]:
         """Content of the file."""
@@ -159,7 +163,7 @@ class Evaluation:
     """A stored evaluation.
 
     Attributes:
-        table: KPIs with one row per episode, training seeds under one name (``grouped``).
+        table: KPIs with one row per episode, training seeds under one name (``grouped``), and goal (``with_goal``).
         profile: one row per metre of these episodes, grouped too.
         setting: common settings of all episodes.
         record: command, commit, machine, descriptions of the policies.
@@ -193,7 +197,7 @@ def read_evaluation(folder: Path) -> Evaluation:
         raise FileError(paths[1], "has policies that are not in episodes.parquet: evaluate again into this folder")
     report = _report_settings(folder, table, strict=True)
     setting, record = read_json(paths[3], Setting), read_json(paths[2], Manifest)
-    return Evaluation(table, profile, setting, record, report, None)
+    return Evaluation(with_goal(table, setting.task, report.bundle), profile, setting, record, report, None)
 
 
 def _report_settings(folder: Path, table: pd.DataFrame, strict: bool) -> ReportSettings:
@@ -224,7 +228,8 @@ def _interrupted(folder: Path) -> Evaluation:
     absent = Counter(name for key, name, _, _ in plan.episodes if key not in done)
     gaps = tuple((name, f"{absent[name]} of {total[name]} insertions") for name in total if absent[name])
     missing = Missing(len(stored), len(plan.episodes), gaps)
-    return Evaluation(table, profile, setting, plan, _report_settings(folder, table, strict=False), missing)
+    report = _report_settings(folder, table, strict=False)
+    return Evaluation(with_goal(table, setting.task, report.bundle), profile, setting, plan, report, missing)
 
 
 def comparable(stored: Sequence[Planned]) -> list[Planned]:

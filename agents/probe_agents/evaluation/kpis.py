@@ -32,6 +32,11 @@ OF_INSTRUMENT: Final[Kpis] = {
     "length_to_repeat_m": ("length to repeat", 1.0, "m"),
 }
 """KPIs of episodes of a plant with an instrument, after the others."""
+GOALS: Final[Kpis] = {
+    "total_hours": ("hours of all passes", 1.0, "h"),
+    "total_time_s": ("time with second passes", 1.0, "s"),
+}
+"""KPI that policies are ranked by if the plant has a bundle, or an instrument alone; without both it is the reward."""
 CORE: Final = ("reward", "inspection_time_s", "share_within_limit", "radial_rms_m")
 """KPIs that every table of episodes has."""
 CORE_FAILURES: Final = ("lost_drive", "diverged")
@@ -75,8 +80,13 @@ def label_of(failure: str) -> str:
 
 def kpis_of(columns: Iterable[str], kpis: Kpis | None = None) -> Kpis:
     """The KPIs among the columns of a table (default: those of episodes); for designs with ``OF_DESIGNS``."""
-    names, kpis = set(columns), KPIS | OF_INSTRUMENT if kpis is None else kpis
+    names, kpis = set(columns), GOALS | KPIS | OF_INSTRUMENT if kpis is None else kpis
     return {name: label for name, label in kpis.items() if name in names}
+
+
+def goal_of(columns: Iterable[str]) -> str:
+    """The KPI that the policies of a table with these columns are ranked by."""
+    return next(iter(kpis_of(columns, GOALS)), "reward")
 
 
 def displayed_kpis(columns: Iterable[str]) -> Kpis:

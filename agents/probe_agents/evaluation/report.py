@@ -14,9 +14,10 @@ from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
 
 from probe_agents.evaluation import figures, profiles, repeat, statistics
+from probe_agents.evaluation.advice import Rows, choose, compare_passes
 from probe_agents.evaluation.folder import Evaluation, read_evaluation
-from probe_agents.evaluation.kpis import KPIS, SCORED_PASSES, displayed_kpis, heading, label_of
-from probe_agents.evaluation.statistics import by_context, endings, ranking, short
+from probe_agents.evaluation.kpis import GOALS, HIGH, SCORED_PASSES, displayed_kpis, goal_of, heading, kpis_of, label_of
+from probe_agents.evaluation.statistics import broken_limits, by_context, endings, ranking, short
 from probe_agents.policies.fixed import Replayed, Scheduled
 from probe_agents.policies.on_map import Privileged
 from probe_agents.policies.planner import InsertionPlanner, InspectionPlanner
@@ -52,9 +53,10 @@ MAX_DIAMETERS: Final = 12
 DRAWN_AT_FIRST: Final = 4
 """Policies whose traces are visible when the page opens."""
 RANKED: Final = (
-    "reward", "inspection_time_s", "share_within_limit", "inspected_share", "air_m3", "a90_percent_wall"
+    *GOALS, "reward", "inspection_time_s", "share_within_limit", "inspected_share", "air_m3", "a90_percent_wall",
+    "length_to_repeat_m",
 )  # fmt: skip
-"""KPIs in the ranking; the others are in a second table, so that both fit on A4."""
+"""KPIs in the ranking and in comparisons, the first decides; others are in a second table, so that both fit on A4."""
 
 
 def write_report(folder: Path) -> Path:
@@ -79,15 +81,14 @@ def _read(name: str) -> str:
 def _content(done: Evaluation, summary: pd.DataFrame, bundle: pd.DataFrame) -> dict[str, Any]:
     """Variables of the template."""
     table, task, oracles, order = done.table, done.setting.task, oracle_policies(done), ranking(done.table)
-    first, schedules = first_page(done), _of_kind(done, SCHEDULES)
+    advised, sentence, choice = choose(table, oracles)
+    first, schedules, users = first_page(done), _of_kind(done, SCHEDULES), done.report.user_policies
     driven = done.profile[done.profile["policy"] == first.policy]
-    note, schedule = profiles.short_schedule(descriptions(done).get(first.policy, {}), driven)
-    points = ((f"{x:g}", f"{u:.3f}", f"{3600.0 * air:.0f}") for x, u, air in schedule.itertuples(index=False))
-    comparisons = [
-        compare_with_best(table, policy, oracles) for policy in done.report.user_policies or (done.report.against,)
-    ]
+    recommends = done.report.sensitivity is not None
+    pages = [first, *(first_page(done, name) for name in users if recommends and name != first.policy)]
+    comparisons = [compare_with_best(table, policy, oracles) for policy in users or (done.report.against,)]
     best = [name for name in order if name not in oracles]
-    ranked_table, more_figures = ranked(table, summary, done.report.user_policies, oracles)
+    ranked_table, more_figures = ranked(table, summary, users, oracles)
     visible = list(dict.fromkeys([*(v.policy for v in comparisons), *best[:2], done.report.against, *best]))[
         :DRAWN_AT_FIRST
     ]
@@ -108,11 +109,16 @@ def _content(done: Evaluation, summary: pd.DataFrame, bundle: pd.DataFrame) -> d
         "judged": repeat.is_judged(task),
         "preset": next((name for name, preset in presets.items() if preset.model_dump() == stored), str(stored)),
         "few_tubes": FEW_TUBES,
+        "goal": displayed_kpis(table.columns)[goal_of(table.columns)][0],
+        "choice": _table(choice),
+        "sentence": sentence[0].upper() + sentence[1:],
         "first": first,
-        "note": note,
-        "schedule": (["length [m]", "feed [m/s]", "air [m³/h]"], list(map(_row, points))),
+        "pages": [(page, *_feed_and_air(done, page.policy)) for page in pages],
+        "recommends": recommends,
+        "passes": _table(compare_passes(table, advised, task, done.report.bundle)),
+        "sensitivity": _table(done.report.sensitivity),
         "comparisons": comparisons,
-        "own": {name: f"Your {'schedule' if name in schedules else 'policy'}" for name in done.report.user_policies},
+        "own": {name: f"Your {'schedule' if name in schedules else 'policy'}" for name in users},
         "ranked": ranked_table,
         "more_figures": more_figures,
         "oracles": [name for name in order if name in oracles],
@@ -129,6 +135,14 @@ def _content(done: Evaluation, summary: pd.DataFrame, bundle: pd.DataFrame) -> d
         "several_driven": len(driven.drop_duplicates(["context", "seed", "training_seed"])) > 1,
         "pictures": _pictures(done, summary, driven, measured, limit_mm),
     }
+
+
+def _feed_and_air(done: Evaluation, policy: str) -> tuple[str, Table]:
+    """Note and rows of a policy's feed and air."""
+    driven = done.profile[done.profile["policy"] == policy]
+    note, schedule = profiles.short_schedule(descriptions(done).get(policy, {}), driven)
+    points = ((f"{x:g}", f"{u:.3f}", f"{3600.0 * air:.0f}") for x, u, air in schedule.itertuples(index=False))
+    return note, (["length [m]", "feed [m/s]", "air [m³/h]"], list(map(_row, points)))
 
 
 def _tube_ranges(table: pd.DataFrame) -> list[tuple[str, float, float, str]]:
@@ -208,12 +222,16 @@ class FirstPage(NamedTuple):
     hours: dict[str, str]
 
 
-def first_page(done: Evaluation) -> FirstPage:
-    """The first page: of the user's schedule, else of another policy of the user, else of the best without oracles."""
-    task, order, limit = done.setting.task, ranking(done.table), limit_of(done.setting.task)
-    schedules, oracles = _of_kind(done, SCHEDULES), oracle_policies(done)
+def first_page(done: Evaluation, policy: str = "") -> FirstPage:
+    """The first page: of a policy, by default the user's schedule, else another one of the user, else the best.
+
+    The report of a recommendation begins with the best, see ``choose``.
+    """
+    task, limit, schedules = done.setting.task, limit_of(done.setting.task), _of_kind(done, SCHEDULES)
     mine = [*(name for name in done.report.user_policies if name in schedules), *done.report.user_policies]
-    policy = next(iter([*mine, *(name for name in order if name not in oracles), *order]))
+    if done.report.sensitivity is not None or not mine:
+        mine = [choose(done.table, oracle_policies(done))[0]]
+    policy = policy or mine[0]
     table = done.table[done.table["policy"] == policy]
     below = table["share_within_limit"] < table.get("inspected_share", 1.0) - 1e-9
     sentences, to_repeat = [f"quiet: vibration within {limit} wherever it was inspected"], ""
@@ -249,7 +267,7 @@ class Comparison(NamedTuple):
     Attributes:
         policy: its name.
         best: the best other policy.
-        result: "better than", "worse than" or "no clear difference from".
+        result: "better than", "worse than" or "no clear difference from", and before it the limits that it breaks.
         first: whether the policy itself is the best of all.
         table: a row for each KPI: means of both, and paired difference with its interval.
     """
@@ -262,18 +280,24 @@ class Comparison(NamedTuple):
 
 
 def compare_with_best(table: pd.DataFrame, policy: str, oracles: Collection[str]) -> Comparison:
-    """A policy compared with the best of the others, oracles excluded, all on the same tubes."""
+    """A policy compared with the best of the others, oracles excluded, all on the same tubes.
+
+    One within the limits of the plant is better than one outside; of equals the first KPI decides.
+    """
     order = [name for name in ranking(table) if name == policy or name not in oracles]
     best = next((name for name in order if name != policy), "")
     names, rows, result, ends = [policy, *filter(None, [best])], [], "", dict(endings(table).iterrows())
-    for kpi in ("reward", "inspection_time_s", "share_within_limit"):
-        factor = KPIS[kpi][1]
-        cells = _row([heading(KPIS[kpi]), *(short(by_context(table, name, kpi).mean() * factor) for name in names)])
+    broken = [broken_limits(table, name) for name in names]
+    if best and bool(broken[0]) != bool(broken[1]):
+        result = f"{broken[0]}: worse than" if broken[0] else "better than"
+    for kpi, label in kpis_of(set(RANKED).intersection(table.columns)).items():
+        factor = label[1]
+        cells = _row([heading(label), *(short(by_context(table, name, kpi).mean() * factor) for name in names)])
         if best:
             difference = statistics.paired_difference(table, policy, best, kpi)
             mean, low, high = (factor * v for v in (difference.mean, difference.low, difference.high))
             cells.append(_with_ends(mean, low, high, "+"))
-            clear = "better than" if difference.mean > 0.0 else "worse than"
+            clear = "better than" if (difference.mean > 0.0) == (kpi in HIGH) else "worse than"
             result = result or ("no clear difference from" if difference.low <= 0.0 <= difference.high else clear)
         rows.append(cells)
     complete = (f"{ends[name]['complete']} of {ends[name]['episodes']}" for name in names)
@@ -299,14 +323,19 @@ def _row(texts: Iterable[str]) -> Row:
     return list(map(Cell, texts))
 
 
+def _table(texts: Rows | None) -> Table:
+    header, *rows = texts or ((),)
+    return header, list(map(_row, rows))
+
+
 def ranked(
     table: pd.DataFrame, summary: pd.DataFrame, users: Collection[str], oracles: Collection[str]
 ) -> tuple[Table, Table]:
-    """Two tables with a row per policy, best first: the ranking by reward, and the other KPIs; with intervals."""
+    """Two tables with a row per policy, best first: the ranking by the goal, and the other KPIs; with intervals."""
     values: dict[tuple[str, str], dict[Any, Any]] = {(r["policy"], r["kpi"]): r for r in summary.to_dict("records")}
     ranking_rows, more_rows, ends, order = [], [], dict(endings(table).iterrows()), ranking(table)
     best = next((name for name in order if name not in oracles), order[0])
-    labels = displayed_kpis(table.columns)
+    labels, goal = displayed_kpis(table.columns), goal_of(table.columns)
     for policy in order:
         cells = {}
         for kpi, (_, factor, _) in labels.items():
@@ -314,24 +343,25 @@ def ranked(
             cells[kpi] = _with_ends(row["mean"] * factor, row["low"] * factor, row["high"] * factor)
         against, improvement = Cell("best"), Cell("")
         if policy != best:
-            difference = statistics.paired_difference(table, policy, best, "reward")
+            difference = statistics.paired_difference(table, policy, best, goal)
             against = _with_ends(difference.mean, difference.low, difference.high, "+")
             if difference.low < 0.0 < difference.high:
                 against = against._replace(text=f"{against.text} (unclear)")
             over = statistics.probability_of_improvement(table, policy, best)
             improvement = _with_ends(100.0 * over.mean, 100.0 * over.low, 100.0 * over.high)
         complete, _, reasons = ended(ends[policy]).partition(", ")
-        reward, *main = (cells.pop(kpi) for kpi in RANKED if kpi in labels)
-        head = Cell(policy, "yours" if policy in users else "oracle" if policy in oracles else "")
-        ranking_rows.append([head, reward, against, improvement, *main, Cell(complete, reasons)])
+        first, *main = (cells.pop(kpi) for kpi in RANKED if kpi in labels)
+        kind = "yours" if policy in users else "oracle" if policy in oracles else ""
+        head = Cell(policy, "; ".join(filter(None, (kind, broken_limits(table, policy)))))
+        ranking_rows.append([head, first, against, improvement, *main, Cell(complete, reasons)])
         more_rows.append([head, *cells.values()])
     names = {kpi: heading(label) for kpi, label in labels.items()}
-    reward_name, *main_names = (names.pop(kpi) for kpi in RANKED if kpi in labels)
+    first_name, *main_names = (names.pop(kpi) for kpi in RANKED if kpi in labels)
     header = [
         "policy",
-        reward_name,
-        f"reward against {best}",
-        "probability of improvement [%]",
+        first_name,
+        f"{labels[goal][0]} against {best}",
+        "probability of a higher reward [%]",
         *main_names,
         "how it ended",
     ]

@@ -8,13 +8,14 @@ from typing import Literal
 import pandas as pd
 
 from probe_agents.evaluation import statistics
+from probe_agents.evaluation.advice import Rows, choose, compare_passes
 from probe_agents.evaluation.folder import EPISODE_RECORDS, ReportSettings, is_evaluation, read_evaluation
-from probe_agents.evaluation.kpis import SCORED_PASSES, displayed_kpis, heading
+from probe_agents.evaluation.kpis import SCORED_PASSES, displayed_kpis, goal_of, heading
 from probe_agents.evaluation.plan import Plan, run_plan
 from probe_agents.evaluation.repeat import verdict_text
-from probe_agents.evaluation.report import ended, verdicts
+from probe_agents.evaluation.report import ended, oracle_policies, verdicts
 from probe_agents.evaluation.report import write_report as write_report
-from probe_agents.evaluation.statistics import Interval, grouped, method_and_seed
+from probe_agents.evaluation.statistics import Interval, method_and_seed
 from probe_agents.evaluation.workers import HERE, Workers
 from probe_agents.policies.cases import EvaluationCase, read_case
 from probe_agents.policies.catalogue import domains_of, is_schedule_file, name_and_spec, named_policies, user_policies
@@ -111,7 +112,12 @@ def plan_of(
 
 
 def evaluate_plan(
-    plan: Plan, output: Path, against: str | None = None, workers: Workers = HERE, users: Sequence[str] = ()
+    plan: Plan,
+    output: Path,
+    against: str | None = None,
+    workers: Workers = HERE,
+    users: Sequence[str] = (),
+    sensitivity: Rows | None = None,
 ) -> pd.DataFrame:
     """Run a plan in a folder, write tables, summary.csv, bundle.csv and report.html, and print the means.
 
@@ -121,18 +127,26 @@ def evaluate_plan(
         against: reference policy of the comparison; default: the first.
         workers: workers that run the episodes.
         users: policies of the user, for the headline of the report; default: ``against``.
+        sensitivity: of a recommendation, see ``ReportSettings``.
     """
-    report = report_settings(plan, against, users)
+    report = report_settings(plan, against, users).model_copy(update={"sensitivity": sensitivity})
     table = run_plan(plan, output, workers=workers, report=report)
     write_report(output)
     if plan.config.returns:
         print(f"Insertion and withdrawal; scored is {SCORED_PASSES[plan.config.scored_pass]}")
-    print_summary(grouped(table), report.against)
-    for policy, (verdict, _) in verdicts(read_evaluation(output)).items():
+    done = read_evaluation(output)
+    print_summary(done.table, report.against)
+    for policy, (verdict, _) in verdicts(done).items():
         print(f"{policy}: {verdict_text(verdict)}")
     if plan.bundle:
-        hours = statistics.bundle_rows(statistics.bundle_table(grouped(table), plan.bundle))
+        hours = statistics.bundle_rows(statistics.bundle_table(done.table, plan.bundle))
         print_table(f"Hours for {plan.bundle.tubes} tubes with 95 % intervals", statistics.BUNDLE_HEADER, hours)
+    if goal_of(done.table.columns) != "reward":
+        policy, sentence, choice = choose(done.table, oracle_policies(done))
+        print_table("Which schedule; below the first row differences to it", choice[0], choice[1:], left=2)
+        print_line(sentence)
+        if passes := compare_passes(done.table, policy, plan.config, plan.bundle):
+            print_table("Way in or way out; the way out as calculated, see the report", passes[0], passes[1:])
     files = "report.html, episodes.csv, episodes.parquet, profile.parquet, summary.csv"
     print_line(f"written: {output}/ ({files}{', bundle.csv' if plan.bundle else ''})")
     return table

@@ -10,9 +10,10 @@ import numpy as np
 import pandas as pd
 from scipy.stats import DegenerateDataWarning, beta, bootstrap, trim_mean
 
-from probe_agents.evaluation.kpis import HIGH, OVER_TUBES, kpis_of
+from probe_agents.evaluation.kpis import GOALS, HIGH, OVER_TUBES, goal_of, kpis_of
 from probe_env.arrays import BoolArray, FloatArray
 from probe_env.envs.plants import Bundle
+from probe_env.envs.task.config import TaskConfig
 from probe_env.envs.task.rules import ENDINGS
 from probe_env.inspection.detection import DEPTHS, depths_found
 from probe_env.inspection.metrics import POD_NAMES
@@ -28,11 +29,13 @@ A90_BOUND: Final = 95.0
 """Percentile of the resampled a90: a90/95."""
 DEPTH_COLUMNS: Final = ("policy", "a50_percent_wall", "a90_percent_wall", "a90_95_percent_wall")
 BUNDLE_COLUMNS: Final = (
-    "policy", "tubes", *(f"{name}{end}" for name in ("hours", "second_pass_share", "second_pass_hours")
+    "policy", "tubes", *(f"{name}{end}" for name in ("hours", "second_pass_share", "second_pass_hours", "total_hours")
                          for end in ("", "_low", "_high"))
 )  # fmt: skip
 """Columns of ``bundle.csv``."""
-BUNDLE_HEADER: Final = ("policy", "first passes [h]", "second pass [% of tubes]", "second passes [h]")
+BUNDLE_HEADER: Final = ("policy", "first passes [h]", "second pass [% of tubes]", "second passes [h]", "all passes [h]")
+MAX_SECOND: Final = 0.5
+"""Largest fraction of the tubes with a second pass: a schedule that fails in most tubes would fail in it again."""
 BEST: Final = "planner"
 BAR: Final = "best-schedule"
 """The difference in reward between these two policies is the planner's lead."""
@@ -149,9 +152,42 @@ def by_context(table: pd.DataFrame, policy: str, kpi: str) -> pd.Series:
 
 
 def ranking(table: pd.DataFrame) -> list[str]:
-    """Policies from the highest mean reward to the lowest."""
-    means = table.groupby(["policy", "context"], sort=False)["reward"].mean().groupby("policy", sort=False).mean()
-    return [str(name) for name in means.sort_values(ascending=False, kind="stable").index]
+    """Policies from the best to the worst by ``goal_of`` the table, those outside the limits last."""
+    goal = goal_of(table.columns)
+    means = table.groupby(["policy", "context"], sort=False)[goal].mean().groupby("policy", sort=False).mean()
+    order = [str(name) for name in means.sort_values(ascending=goal not in HIGH, kind="stable").index]
+    return sorted(order, key=lambda policy: bool(broken_limits(table, policy)))
+
+
+def broken_limits(table: pd.DataFrame, policy: str) -> str:
+    """Limits of the plant that a policy does not keep, see ``with_goal``; "" if it keeps all, or there are none."""
+    return str(table.loc[table["policy"] == policy, "broken_limits"].iloc[0]) if "broken_limits" in table else ""
+
+
+def with_goal(table: pd.DataFrame, task: TaskConfig, bundle: Bundle | None) -> pd.DataFrame:
+    """The table with the columns of ``GOALS`` and "broken_limits", if the plant has a bundle or an instrument.
+
+    The mean of ``total_hours`` is that of ``bundle_table``: every tube takes its time, and the mean time of the policy
+    once more if it needs a second pass. ``total_time_s`` is the same for a tube, without setup and withdrawal.
+    """
+    if bundle is None and task.instrument is None:
+        return table
+    added, tubes = (bundle.setup_time + (bundle.withdrawal_time or 0.0), bundle.tubes) if bundle else (0.0, 0)
+    case = [table["policy"], table["context"]]
+    times, again = table["inspection_time_s"] + added, needs_second_pass(table).groupby(case).transform("any")
+    mean = times.groupby(case).mean().groupby("policy").mean()
+    total, broken = times + again * table["policy"].map(mean), {}
+    highest = (task.instrument and task.instrument.highest_a90) or math.inf
+    for policy, part in table.assign(again=again).groupby("policy"):
+        limited = part.reindex(columns=["length_too_fast_m", "a90_percent_wall"], fill_value=0.0)  # some have none
+        problems = {
+            "too fast": limited["length_too_fast_m"].max() > 0.0,
+            f"a90 above {highest:g} %": limited["a90_percent_wall"].mean() > highest,
+            "second pass in most tubes": part.groupby("context")["again"].any().mean() > MAX_SECOND,
+        }
+        broken[policy] = ", ".join(name for name, applies in problems.items() if applies)
+    goal = {"total_hours": total * tubes / 3600.0} if bundle else {"total_time_s": total}
+    return table.assign(**goal, broken_limits=table["policy"].map(broken))
 
 
 def paired_difference(table: pd.DataFrame, first: str, second: str, kpi: str) -> Interval:
@@ -243,8 +279,10 @@ def needs_second_pass(table: pd.DataFrame) -> pd.Series:
     return (table["share_within_limit"] < table["inspected_share"] - 1e-9) | (table["complete"] == 0.0)
 
 
-def bundle_hours(times: FloatArray, second_pass: BoolArray, tubes: int) -> tuple[Interval, Interval, Interval]:
-    """Hours of a bundle, share of its tubes with a second pass, and hours of these passes, with 95 % intervals.
+def bundle_hours(
+    times: FloatArray, second_pass: BoolArray, tubes: int
+) -> tuple[Interval, Interval, Interval, Interval]:
+    """Hours of first passes, share of tubes with a second pass, hours of these and of all passes, with 95 % intervals.
 
     The n simulated tubes and the N of the bundle are treated as independent draws of one distribution of mean m and
     deviation s. The total of N times, for a given m, has mean N m and variance N s^2; the mean of the simulated tubes
@@ -262,7 +300,7 @@ def bundle_hours(times: FloatArray, second_pass: BoolArray, tubes: int) -> tuple
         tubes: N.
 
     Returns:
-        hours, share and hours of second passes; the ends of the first and the last are NaN for one simulated tube.
+        hours, share, hours of second passes and of all; the ends of all but the share are NaN for one simulated tube.
     """
     count, k, mean = len(times), int(second_pass.sum()), float(times.mean())
     low, high = beta.ppf(np.array(PERCENTILES) / 100.0, k + 0.5, count - k + 0.5).tolist()
@@ -272,11 +310,13 @@ def bundle_hours(times: FloatArray, second_pass: BoolArray, tubes: int) -> tuple
         rng, means = np.random.default_rng(0), bootstrap_means(times[:, None])[:, 0]
         totals = tubes * (means + rng.normal(0.0, times.std(ddof=1) / math.sqrt(tubes), RESAMPLES))
         repeats = rng.binomial(tubes, rng.beta(k + 0.5, count - k + 0.5, RESAMPLES)) * means
-    hours, added = (
+    hours, added, every = (
         Interval(tubes * value / 3600.0, *(np.percentile(drawn, PERCENTILES) / 3600.0).tolist())
-        for value, drawn in ((mean, totals), (fraction.mean * mean, repeats))
-    )
-    return hours, fraction, added
+        for value, drawn in (
+            (mean, totals), (fraction.mean * mean, repeats), ((1.0 + fraction.mean) * mean, totals + repeats)
+        )
+    )  # fmt: skip
+    return hours, fraction, added, every
 
 
 def bundle_table(table: pd.DataFrame, bundle: Bundle | None) -> pd.DataFrame:
@@ -301,8 +341,8 @@ def bundle_rows(hours: pd.DataFrame) -> list[tuple[str, ...]]:
     """Texts of a ``bundle_table`` under ``BUNDLE_HEADER``."""
     rows = []
     for policy, _, *values in hours.itertuples(index=False):
-        intervals = (Interval(*values[k : k + 3]) for k in (0, 3, 6))
-        rows.append((str(policy), *(i.text(f) for i, f in zip(intervals, (1.0, 100.0, 1.0), strict=True))))
+        intervals = (Interval(*values[k : k + 3]) for k in (0, 3, 6, 9))
+        rows.append((str(policy), *(i.text(f) for i, f in zip(intervals, (1.0, 100.0, 1.0, 1.0), strict=True))))
     return rows
 
 
@@ -314,21 +354,24 @@ def endings(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def comparison_lines(table: pd.DataFrame, reference: str) -> list[str]:
-    """A line for every other policy: paired differences in time and length within the limit to the reference."""
+    """A line for every other policy: paired differences in goal, time and length within the limit to the reference."""
     lines, has_lead = [], {BEST, BAR} <= set(table["policy"])
+    goals = kpis_of(table.columns, GOALS)
     for policy in dict.fromkeys(table["policy"]):
         if policy == reference:
             continue
-        time = _signed(paired_difference(table, policy, reference, "inspection_time_s"), 1.0, " s")
-        fraction = _signed(paired_difference(table, policy, reference, "share_within_limit"), 100.0, " %")
-        lead = ""
+        time = signed(paired_difference(table, policy, reference, "inspection_time_s"), 1.0, " s")
+        fraction = signed(paired_difference(table, policy, reference, "share_within_limit"), 100.0, " %")
+        lead, total = "", ""
+        for goal, (name, _, unit) in goals.items():
+            total = f"{name} {signed(paired_difference(table, policy, reference, goal), 1.0, f' {unit}')}, "
         if has_lead and policy not in (BEST, BAR):
             lead = f", share of the lead of {BEST} over {BAR} {fraction_of_lead(table, policy).text(100.0)} %"
-        lines.append(f"{policy} against {reference}: time {time}, length within the limit {fraction}{lead}")
+        lines.append(f"{policy} against {reference}: {total}time {time}, length within the limit {fraction}{lead}")
     return lines
 
 
-def _signed(difference: Interval, factor: float = 1.0, unit: str = "") -> str:
+def signed(difference: Interval, factor: float = 1.0, unit: str = "") -> str:
     """A difference such as "-41 s [-44, -38]"; without an interval where there is none."""
     mean, low, high = (f"{value * factor:+.3g}" for value in (difference.mean, difference.low, difference.high))
     return f"{mean}{unit}" + (f" [{low}, {high}]" if difference.low < difference.high else "")

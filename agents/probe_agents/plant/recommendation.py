@@ -7,7 +7,7 @@ schedule smooth; settings with too little tension in too many samples are exclud
 import math
 import warnings
 from bisect import bisect_right
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -15,7 +15,9 @@ from typing import Final, NamedTuple
 
 import numpy as np
 import pandas as pd
+from scipy.special import ndtr
 
+from probe_agents.evaluation.advice import Rows
 from probe_agents.evaluation.run import evaluate_plan, plan_of
 from probe_agents.evaluation.workers import HERE, Workers
 from probe_agents.plant.prior import UNKNOWNS
@@ -28,7 +30,7 @@ from probe_agents.policies.policy import OutsideDomain
 from probe_agents.records.atomic import write_atomically
 from probe_agents.records.manifest import origin, write_json
 from probe_agents.records.quantities import HOUR
-from probe_agents.terminal.tables import print_line
+from probe_agents.terminal.tables import print_line, print_table
 from probe_env import Context, Plant, Scene
 from probe_env.arrays import BoolArray, FloatArray
 from probe_env.envs.task.config import TaskConfig
@@ -53,6 +55,8 @@ CONFIDENCE: Final = 0.95
 """Share of the samples in which the tension has its ``MARGIN``."""
 INTERVAL: Final = 0.05, 0.95
 """Quantiles of the samples' expected rewards."""
+AT: Final = 30.0
+"""Inserted length at which ``sensitivity`` gives the vibration [m], or the end of the helix."""
 NAME: Final = "recommended"
 LAW: Final = "recommended-law"
 BASELINES: Final = ("best-schedule", "tension-scheduled")
@@ -84,14 +88,14 @@ class Confirmation:
             warnings.simplefilter("ignore")
             plan_of((*self.schedules, *BASELINES), load_case(plant, "test", self.limit), 1, self.fidelity)
 
-    def run(self, plant: Plant | None, named: Sequence[str], workers: Workers) -> pd.DataFrame:
+    def run(self, plant: Plant | None, named: Sequence[str], workers: Workers, unsure: Rows = ()) -> pd.DataFrame:
         """Simulate recommendations ``named`` (NAME=FILE) with others in other samples, and print; the episodes."""
         case = load_case(plant, "test", self.limit)
         print(f"simulated in {len(case.contexts)} other samples at {self.fidelity}:")
         plan = plan_of((*named, *self.schedules, *BASELINES), case, 1, self.fidelity)
-        names = [name_and_spec(spec)[0] for spec in self.schedules] or [NAME]  # for the report's first line
+        users = [name_and_spec(spec)[0] for spec in self.schedules]
         plan = replace(plan, plant=self.plant)
-        return evaluate_plan(plan, self.folder, against=NAME, workers=workers, users=names)
+        return evaluate_plan(plan, self.folder, against=NAME, workers=workers, users=users, sensitivity=unsure)
 
 
 def recommend(
@@ -141,9 +145,44 @@ def recommend(
         f" {optimum.tension:.2g} N in {CONFIDENCE:.0%}"
     )
     print_start_air(start_air, case.config)
+    rows = sensitivity(plant, case.contexts, optimum.schedule, response, case.config)
+    if rows:
+        print_table("Values that are not measured, and what they change", rows[0], rows[1:])
     if confirmation:
-        confirmation.run(plant, named, workers)
+        confirmation.run(plant, named, workers, rows)
     return optimum
+
+
+def sensitivity(
+    plant: Plant | None, tubes: Sequence[Context], schedule: Schedule, response: Response, config: TaskConfig
+) -> Rows:
+    """Expected vibration of a schedule with other values of the quantities that have their defaults.
+
+    Each row has the geometric mean over the tubes at ``AT``, over the limit, and the expected length above the limit,
+    for both ends of a change of all tubes. Empty if friction and stiffness are in the tube file or calibrated.
+    """
+    plant = plant or Plant()
+    posterior = plant.posterior.draws if plant.posterior else {}
+    end = config.scene.tube.helix_length
+    lengths = np.append(np.arange(FIRST + 0.5, end), min(AT, end))  # every metre, and one place
+    metres = Metres(lengths, *schedule.at(lengths), {})
+    rows: list[tuple[str, ...]] = []
+    for text, field, name, changes in (
+        ("friction -0.01 to +0.01", "friction", "friction", ((1.0, -0.01), (1.0, 0.01))),
+        ("contact stiffness x2 to /2", "stiffness", "contact_stiffness", ((2.0, 0.0), (0.5, 0.0))),
+    ):
+        if field in plant.contact.model_fields_set or name in posterior:
+            continue
+        ends = []
+        for factor, offset in changes:
+            values = [max(factor * getattr(tube, name) + offset, 0.0) for tube in tubes]
+            changed = [tube.model_copy(update={name: value}) for tube, value in zip(tubes, values, strict=True)]
+            louder, spread = map(np.array, zip(*vibrations(changed, response, config, metres), strict=True))
+            above = ndtr(louder / spread)[:, :-1].mean(axis=0).sum()
+            ends.append((10.0 ** louder[:, -1].mean(), above))
+        rows.append((text, *(f"{low:.2g} to {high:.2g}" for low, high in zip(*ends, strict=True))))
+    header = "not measured", f"vibration at {lengths[-1]:g} m over its limit", "length above the limit [m]"
+    return (header, *rows) if rows else ()
 
 
 def write_description(output: Path, plant: Plant | None, draws: int, figures: Mapping[str, float]) -> None:
@@ -281,14 +320,19 @@ def optimal_law(tubes: Sequence[Context], response: Response, config: TaskConfig
 
 def expected_costs(tubes: Sequence[Context], response: Response, config: TaskConfig, metres: Metres) -> FloatArray:
     """(tubes, m) expected cost of each metre in each tube: vibration, time and air, weighted as in the task."""
-    column = CHANNELS.index(MEASURES[config.vibration_measure])
     plain = config.model_copy(update={"vibration_measure": "displacement", "vibration_limit": 1e-4})
-    costs = []
+    louder = vibrations(tubes, response, config, metres)
+    return np.array([expected_cost(*pair, metres.feed, metres.air, plain) for pair in louder])
+
+
+def vibrations(
+    tubes: Sequence[Context], response: Response, config: TaskConfig, metres: Metres
+) -> Iterator[tuple[FloatArray, FloatArray]]:
+    """Mean and deviation (m,) of log10 of the vibration over its limit, in each tube."""
+    column = CHANNELS.index(MEASURES[config.vibration_measure])
     for tube in tubes:
         mean, spread = response.predict(_table(tube, config.scene), metres, _scene_in(tube, config))
-        louder = mean[0, :, column] - np.log10(config.limit)
-        costs.append(expected_cost(louder, spread[0, :, column], metres.feed, metres.air, plain))
-    return np.array(costs)
+        yield mean[0, :, column] - np.log10(config.limit), spread[0, :, column]
 
 
 def outside_training(tubes: Sequence[Context], response: Response, config: TaskConfig) -> list[str]:
