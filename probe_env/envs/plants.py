@@ -133,7 +133,10 @@ class Walls(Model):
     """Whether the cable between floats can touch the walls: needed for a weak cable or high compression."""
 
 
-PER_HOUR: Final = {"air_supply_rates_m3_per_h": "air_supply_rates", "air_supply_step_m3_per_h": "air_supply_step"}
+PER_HOUR: Final = {
+    "air_supply_rates_m3_per_h": "air_supply_rates", "air_supply_step_m3_per_h": "air_supply_step",
+    "air_ramp_m3_per_h_per_s": "air_ramp",
+}  # fmt: skip
 """Fields of ``[air]`` in m3/h -> field of ``Supply`` in m3/s."""
 MAX_PER_HOUR: Final = 720.0
 
@@ -179,6 +182,8 @@ class Supply(Model):
     """Resolution of the air supply [m3/s]; 0: continuous."""
     air_lag: Annotated[float | None, range_of(TaskConfig, "air_lag")] = None
     """Time constant of the air supply [s]."""
+    air_ramp: Annotated[float | None, range_of(TaskConfig, "air_ramp")] = None
+    """Largest change of the air supply per second [m3/s2]; default: no limit."""
 
     @model_validator(mode="before")
     @classmethod
@@ -297,7 +302,8 @@ FACTORS: Final = (0.1, 10.0)
 """Accepted range of the drag factor of a ``Context``."""
 RARE: Final = 1e-6
 MAX_LENGTH: Final = 60.0  # [m], longest helix for which the default time limit is made
-OF_FEED, OF_AIR = ("feed_speeds", "feed_speed_step", "ramp"), ("air_supply_rates", "air_supply_step", "air_lag")
+OF_FEED: Final = ("feed_speeds", "feed_speed_step", "ramp")
+OF_AIR: Final = ("air_supply_rates", "air_supply_step", "air_lag", "air_ramp")
 """Fields of the task in the tables of the feed device and of the air."""
 
 

@@ -43,6 +43,7 @@ def test_form_has_every_field_with_unit_and_range():
                 assert "outside the accepted range" not in str(error)  # noqa: PT017
         with pytest.raises(ValueError, match=f"accepted range {accepted.low:g} to {accepted.high:g} {unit}"):
             form.change(field, repr(1.01 * accepted.high))
+    assert (FIELDS["air.air_ramp"].unit, FIELDS["air.air_ramp"].factor) == ("m³/h/s", 3600.0)
     assert all(field.description for field in FIELDS.values() if field.table != "task")
     models = {table: getattr(info.annotation, "model_fields", ()) for table, info in Plant.model_fields.items()}
     names = {f"{table}.{name}" for table, fields in models.items() for name in fields}

@@ -91,6 +91,21 @@ def test_without_noise_it_is_the_map_and_the_closed_form():
     assert info["tension_mean_n"] == pytest.approx(tension)
 
 
+def test_target_of_the_air_follows_its_ramp():
+    """From the 63 m3/h of the start by 10 m3/h a period up to 100, in a branch too; a reset begins there again."""
+    config = TaskConfig(air_ramp=10.0 / 3600.0)
+    episodes, action = started(1, config), config.actions(np.array([0.2]), np.array([100.0 / 3600.0]))
+
+    def blown(episodes, periods):
+        return [3600.0 * episodes.step(action).infos[0]["target_air_supply_rate"] for _ in range(periods)]
+
+    assert blown(episodes, 2) == pytest.approx([73.0, 83.0])
+    branch = episodes.branch([0])
+    assert blown(episodes, 3) == blown(branch, 3) == pytest.approx([93.0, 100.0, 100.0])
+    episodes.reset([0], {0: np.random.default_rng(0)})
+    assert blown(episodes, 1) == pytest.approx([73.0])
+
+
 def test_feed_follows_its_ramp_and_air_its_lag():
     config = TaskConfig(ramp=0.1, air_lag=2.0)
     episodes = started(1, config, noise=Noise())

@@ -61,6 +61,19 @@ def test_recommended_schedule_fits_the_device():
     assert optimum.tension >= MARGIN * config.required_tension
 
 
+def test_recommended_air_changes_no_faster_than_the_compressor():
+    """Between two points at most the ramp times the time at the faster feed; without the limit the air is faster."""
+
+    def most(config):
+        schedule = optimal_schedule(TUBES, RESPONSE, config).schedule
+        length, feed, air = map(np.array, (schedule.position, schedule.feed_speed, schedule.air_supply_rate))
+        seconds = np.diff(length) / np.maximum(feed[1:], feed[:-1])
+        return (np.abs(np.diff(air)) / seconds).max()
+
+    free, ramp = Plant().config, 2.0 / 3600.0
+    assert most(free) > ramp >= most(free.model_copy(update={"air_ramp": ramp})) - 1e-9
+
+
 def test_recommended_schedule_beats_shipped_and_near_ones():
     """No constant change of its feed is expected to be better by more than the price on change could hide."""
     config = Plant().configured()

@@ -137,8 +137,8 @@ def _field(table: str, name: str, model: type[Model]) -> Field:
     description = " ".join((info.description or "").replace("`", "").split())
     accepted = range_of(model, name)
     unit, factor = accepted.unit if accepted else "", 1.0
-    if accepted and unit == "m3/s":
-        unit, factor = "m³/h", 3600.0
+    if per_hour := {"m3/s": "m³/h", "m3/s2": "m³/h/s"}.get(unit):
+        unit, factor = per_hour, 3600.0
     elif accepted and unit == "m" and accepted.high <= 1.0:
         unit, factor = "mm", 1e3
     default = scaled(default, factor)

@@ -166,7 +166,7 @@ def _motion(episode: _Episode, at: float, length: float, duration: float) -> Mot
     watch = Watch(simulated.simulators[0], length, axial, radial)
     while remaining > 0.5 * SAMPLE_PERIOD and not episode.ended:
         action = episode.next_action()
-        targets = episodes.config.targets(action[None]) * episodes.direction[:, None]
+        targets = episodes.targets(action[None])
         period = episodes.config.period / simulated.time_lapse(targets, episodes.direction)[0]  # of the dynamics
         feed_speed, air_supply_rate = targets[0]
         watch.follow(simulated.simulators[0], feed_speed, air_supply_rate, min(remaining, period))

@@ -248,7 +248,7 @@ class Settings(NamedTuple):
     spacing: FloatArray  # (n,) length that each stands for [m]
     feed: FloatArray  # (g,) [m/s]
     air: FloatArray  # (g,) [m3/s]
-    change: FloatArray  # (g, g) squared change of log feed and of the air over its range
+    change: FloatArray  # (g, g) squared change of log feed and of the air over its range; infinite beyond its ramp
     tension: FloatArray  # (n, g) root tension that CONFIDENCE of the samples exceed [N]
     excluded: BoolArray  # (n, g)
 
@@ -284,6 +284,9 @@ def settings_of(tubes: Sequence[Context], config: TaskConfig, start_air: float =
     spacing[[0, -1]] *= 0.5  # half a spacing at the ends
     logarithm, fraction = np.log(feed), fraction_between(air, config.air_supply_rates)
     change = (logarithm[:, None] - logarithm) ** 2 + (fraction[:, None] - fraction) ** 2
+    if config.air_ramp is not None:  # in the time between two points at the faster of both feeds
+        seconds = SPACING / np.maximum(feed[:, None], feed)
+        change[np.abs(air[:, None] - air) > config.air_ramp * seconds + 1e-12] = np.inf
     settings = Settings(lengths, spacing, feed, air, change, np.zeros(shape), np.zeros(shape, dtype=bool))
     metres = settings.metres
     pulls = root_tensions(tubes, config, metres.length, metres.feed, metres.air)

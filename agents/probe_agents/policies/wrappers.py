@@ -92,7 +92,10 @@ class Shielded(ObservationPolicy):
         needed = np.sqrt(rising_root(excess, none, none + (config.air_supply_rates[1] * air_speed_of_unit) ** 2))
         feed, air = targets.T
         # lost drive is scored beyond a length; the air must have reached its target by then
-        ahead = config.feed_speeds[1] * (LAGS_AHEAD * config.air_lag + (config.delay_periods + 1) * config.period)
+        ramp = np.ptp(config.air_supply_rates) / (config.air_ramp or np.inf)  # [s], from least to most
+        ahead = config.feed_speeds[1] * (
+            LAGS_AHEAD * config.air_lag + ramp + (config.delay_periods + 1) * config.period
+        )
         short = (air * air_speed_of_unit - feed < needed) & (
             measured["inserted_length"] >= config.lost_drive_from - ahead
         )

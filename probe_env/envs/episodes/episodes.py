@@ -110,6 +110,7 @@ class Episodes:
         self.rng = [np.random.default_rng(k) for k in range(num_envs)]
         self.episode = np.zeros(num_envs, dtype=int)
         self.actions = np.tile(self.start_action, (num_envs, 1))
+        self.air = np.full(num_envs, self.sampler.air_supply_rate)  # (N,) target of the last period [m3/s]
         self.running = np.zeros(num_envs, dtype=bool)
         self.window: Window | None = None
 
@@ -160,6 +161,7 @@ class Episodes:
         new.scorer, new.sensors = self.scorer.branch(which), rows_of(self.sensors, which)
         new.context, new.rng = [self.context[k] for k in which], [copy.deepcopy(self.rng[k]) for k in which]
         new.constants = {name: values[index] for name, values in self.constants.items()}
+        new.air = self.air[index]
         new.episode, new.actions, new.running = self.episode[index], self.actions[index], self.running[index]
         new.window = None
         return new
@@ -199,6 +201,7 @@ class Episodes:
         begun[list(which)] = True
         for k, (context, scene) in prepared.items():
             self.rng[k], self.episode[k], self.actions[k] = rngs[k], episodes[k], self.start_action
+            self.air[k] = self.sampler.air_supply_rate
             self.set_tube(k, context, scene)
             self.backend.begin(k, context, scene, rngs[k])
         start, window = self.inserted_length, self.backend.settle(begun, self.rng)
@@ -212,6 +215,14 @@ class Episodes:
             for k, (context, scene) in prepared.items()
         }
 
+    def targets(self, actions: npt.ArrayLike) -> FloatArray:
+        """(N, 2) targets of feed [m/s] and air [m3/s] of the next period, negative on withdrawal; see ``air_ramp``."""
+        targets = self.config.targets(actions, self.allow_standstill)
+        if self.config.air_ramp is not None:
+            reach = self.config.air_ramp * self.config.period
+            targets[:, 1] = np.clip(targets[:, 1], self.air - reach, self.air + reach)
+        return targets * self.direction[:, None]
+
     def step(self, actions: npt.ArrayLike, active: BoolArray | None = None) -> Step:
         """One control period of the active probes (default: all) towards the targets of actions (N, 2).
 
@@ -222,12 +233,13 @@ class Episodes:
         stepped = np.ones(len(self), dtype=bool) if active is None else np.asarray(active, dtype=bool)
         given = as_actions(actions, (len(self), 2)).astype(np.float32)
         given = np.where(stepped[:, None], given, self.actions)  # the others keep their last action
-        targets = self.config.targets(given, self.allow_standstill) * self.direction[:, None]
+        targets = self.targets(given)
         if (stepped & ~self.running).any():
             raise RuntimeError(
                 f"episode {np.flatnonzero(stepped & ~self.running)[0]} has ended: call reset before step"
             )
         change, self.actions = given.astype(float) - self.actions, given
+        self.air = np.where(stepped, np.abs(targets[:, 1]), self.air)
         record = self.backend.advance(stepped, targets, self.direction, self.rng)
         self.window = window = record.window
         scored = self.scorer.score(record, change)

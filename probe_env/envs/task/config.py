@@ -101,6 +101,8 @@ class Actuators(Model):
     """Acceleration with which the feed follows its target."""
     air_lag: Annotated[float, quantity(0.0, 100.0, "s")] = 1.0
     """Time constant with which the air follows its target."""
+    air_ramp: Annotated[float, quantity(1e-6, 1.0, "m3/s2")] | None = None
+    """Largest change of the air supply per second: its target follows an action at this rate; None: at once."""
 
 
 class Reward(Model):

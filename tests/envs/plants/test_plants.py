@@ -268,9 +268,13 @@ def test_targets_are_rounded_to_the_resolution_of_the_devices():
 
 
 def test_air_supply_in_m3_per_h():
-    fields = {"air_supply_rates_m3_per_h": [30.0, 122.0], "air_supply_step_m3_per_h": 5.0, "air_lag": 1.5}
+    fields = {
+        "air_supply_rates_m3_per_h": [30.0, 122.0], "air_supply_step_m3_per_h": 5.0, "air_lag": 1.5,
+        "air_ramp_m3_per_h_per_s": 18.0,
+    }  # fmt: skip
     supply = Plant.model_validate({"air": fields}).air
     assert (supply.air_supply_rates, supply.air_supply_step) == ((30.0 / 3600.0, 122.0 / 3600.0), 5.0 / 3600.0)
+    assert Plant.model_validate({"air": fields}).config.air_ramp == 18.0 / 3600.0
     assert supply_per_hour(supply_in_si(fields)) == fields
     for name, value in (("air_supply_step_m3_per_h", True), ("air_supply_rates_m3_per_h", [False, 122.0])):
         with pytest.raises(ValueError, match=f"{name} = .*: must be within 0 to 720 m3/h"):
