@@ -82,7 +82,7 @@ _NUMBERED: Final = re.compile(r"((?:time|zeit)) \d+(?: (?:standardmessrate|defau
 """One of several columns of time, also of catman."""
 _UNIT: Final = re.compile(r"\s*(?:\[([^\[\]]*)\]|\(([^()]*)\)|\bin\s+([^\s\[\]()]+))\s*$")
 """At the end of a head: [mm/s], (m3/h), in mm/s."""
-_TOKEN: Final = "(?:ns|us|ms|sec|min|mm|cm|um|µm|n?m3|ft|in|kn|lbf|s?cfm|s?lpm|fpm|[smhnlg])"
+_TOKEN: Final = "(?:ns|us|ms|sec|min|mm|cm|um|µm|n?m3|ft|in|kn|lbf|s?cfm|s?lpm|fpm|k?pa|m?bar|[smhnlg])"
 _BEHIND: Final = re.compile(
     rf"(.+?)(_|,?\s+|\s*/\s*)({_TOKEN}(?:(?:/|_per_){_TOKEN}[2²]?)?|n?m³(?:/{_TOKEN})?)", re.IGNORECASE
 )
@@ -90,7 +90,7 @@ _BEHIND: Final = re.compile(
 _NUMBER: Final = r"\d+(?:\.\d+)?(?:[eE][+-]?\d+)?"
 _SCALED: Final = re.compile(rf"([+-]?)\s*(?:({_NUMBER})\s*\*\s*)?(.*?)(?:\s*([*/])\s*({_NUMBER}))?")
 """A unit with a sign and a factor: -m, m/4096, 1.07*m3/h."""
-_CAPITALS: Final = {"n": "N", "kn": "kN"}
+_CAPITALS: Final = {"n": "N", "kn": "kN", "pa": "Pa", "kpa": "kPa"}
 
 _CLOCK_FORM: Final = re.compile(r"[ymdhstj]+(?:[:./ -]+[ymdhstjf0]+)+", re.IGNORECASE)
 """Form of a time in a row of units: hh:mm:ss, TT.MM.JJJJ hh:mm:ss."""
