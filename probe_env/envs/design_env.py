@@ -56,7 +56,7 @@ class DesignEnv(StepLimitSpec, gym.Env[Observation, Observation]):
     | 0 | guide length, rounded to whole pitches | 1 | 10 | m |
     | 1 | diameter of the guide's floats | 0.016 | 0.020 | m |
     | 2 | diameter of the carrier's floats | 0.016 | 0.020 | m |
-    | 3 | float pitch, rounded to 1 mm | 0.1 | 0.15 | m |
+    | 3 | float pitch, rounded to 1 mm | 0.05 | 0.15 | m |
     | 4 | tensile rigidity | 0.5e5 | 2e5 | N |
     | 5 | flexural rigidity | 0.025 | 0.1 | N m2 |
     | 6 | line density | 0.09 | 0.14 | kg/m |

@@ -23,8 +23,9 @@ from probe_env.envs.task.config import TaskConfig
 from probe_env.envs.task.rules import FAILURES, capped_square, drive_counts, reward_terms, slack
 from probe_env.fidelity import Fidelity
 from probe_env.inspection.snr import SPAN, SnrEstimator
+from probe_env.physics.closed_forms import buckling_load
 from probe_env.physics.simulation.batch import SimulatorBatch
-from probe_env.physics.simulation.signals import SAMPLE_PERIOD
+from probe_env.physics.simulation.signals import SAMPLE_PERIOD, dominant_frequencies
 from probe_env.scene import Scene
 from probe_env.schedule import Schedule
 
@@ -194,6 +195,7 @@ class Trial:
     inspected: FloatArray | None = None  # (N,) inspected length of whole insertions
     noise: FloatArray | None = None  # noise over the signal of a 20 % groove, if that is the vibration measure
     detection: Mapping[str, FloatArray] = field(default_factory=dict)  # (N,) of each of ``DETECTION_KPIS``
+    frequency: FloatArray | None = None  # of the radial vibration's highest peak at constant length, NaN at rest [Hz]
 
 
 def start_seeds(candidates: Sequence[Candidate]) -> list[int]:
@@ -220,7 +222,7 @@ def score_designs(
 
     Progress is the length that the sensor inspects until the tip is at the end of the helix: a long guide inspects
     less. Vibration, time and air are over the segment that all designs share; detection is over the length that the
-    guide allows a probe to inspect.
+    guide allows a probe to inspect. The Euler margin is Euler's load of a pitch over the greatest mean root tension.
     """
     check_measure(config)
     span = segment_of(config).span
@@ -240,6 +242,8 @@ def score_designs(
     )  # fmt: skip
     length = np.maximum(covered, 1e-9)
     margin = np.where(trial.deep, trial.root_tension, np.inf).min(axis=1) - config.required_tension
+    loads = np.array([buckling_load(design.probe(config.scene.probe)) for design in designs])
+    pull = np.abs(np.where(trial.widths > 0.0, trial.root_tension, 0.0)).max(axis=1)
     kpis = {
         "radial_rms_m": np.sqrt((trial.widths * trial.radial_rms**2).sum(axis=1) / length),
         "mean_square_ratio": squares / length,
@@ -249,6 +253,7 @@ def score_designs(
         "inspected_m": inspected,
         "missed_m": missed,
         "drive_margin_n": np.where(np.isfinite(margin), margin, -config.required_tension),
+        "euler_margin": np.divide(loads, pull, out=np.zeros_like(loads), where=pull > 0.0),
         **trial.detection,
         **{name: trial.failed[name].astype(float) for name in FAILURES},
     }
@@ -300,7 +305,7 @@ def try_sections(
     )  # fmt: skip
     settled = batch.advance(None, air, SETTLE, SAMPLE_PERIOD)
     by_snr = config.vibration_measure == "snr"
-    window = batch.advance(None, None, MEASURE, SAMPLE_PERIOD, ~settled.diverged, keep_samples=by_snr)
+    window = batch.advance(None, None, MEASURE, SAMPLE_PERIOD, ~settled.diverged, keep_samples=True)
     diverged = (settled.diverged | window.diverged).reshape(shape)
     rms, tension = (window.statistics[name].reshape(shape) for name in ("radial_rms_m", "tension_mean_n"))
     is_slack = slack(config, tension, inserted) & ~diverged
@@ -309,14 +314,17 @@ def try_sections(
     failed = dict.fromkeys(FAILURES, np.zeros(len(candidates), dtype=bool))  # two are possible at constant length
     failed |= {"lost_drive": np.asarray(is_slack.any(axis=1)), "diverged": np.asarray(diverged.any(axis=1))}
     noise = None
+    assert window.radial is not None
+    peaks = [[*dominant_frequencies(radial, SAMPLE_PERIOD, 1), np.nan][0] for radial in window.radial.T]
     if by_snr:
-        assert window.radial is not None
         meter, every = SnrEstimator(config.sensor, len(scenes), SAMPLE_PERIOD), np.arange(len(scenes))
         for second in np.split(window.radial, round(MEASURE / SPAN)):
             estimate = meter.update(every, second, speed.ravel())
         noise = np.asarray(1.0 / np.maximum(estimate.snr, MIN_SNR)).reshape(shape)
     deep = drive_counts(config, inserted) & ~diverged
-    return Trial(widths, speed, air.reshape(shape), rms, tension, deep, failed, noise=noise)
+    return Trial(
+        widths, speed, air.reshape(shape), rms, tension, deep, failed, noise=noise, frequency=np.reshape(peaks, shape)
+    )
 
 
 def sections_of(design: Design, context: Context, feed: Schedule, config: TaskConfig) -> list[tuple[Scene, float]]:

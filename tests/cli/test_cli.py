@@ -114,10 +114,10 @@ def test_render_writes_an_episode_and_slow_motion(name, tmp_path, capsys):
     assert main(["render", *snapshot, "--every", "40"]) == 0
     assert "share_within_limit" in capsys.readouterr().out
     check_film(output, 1 if name == "picture.png" else 3)
-    assert main([*STRIP, *snapshot, "--duration", "0.05"]) == 0
+    assert main([*STRIP, *snapshot, "--duration", "0.05", "--design", "improved"]) == 0
     printed = capsys.readouterr().out
     assert "times_slowed                             8\n" in printed
-    assert "inserted_length_m                        52.5\n" in printed
+    assert "inserted_length_m                        60\n" in printed  # a guide of 10 m
     check_film(output, 1 if name == "picture.png" else 11)
     if output.suffix == ".gif":
         assert iio.immeta(output)["duration"] == 40

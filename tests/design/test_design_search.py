@@ -12,6 +12,8 @@ from probe_agents.design.trials import OBJECTIVES, DesignProblem, DesignTrials
 from probe_env import Context, Design, Fidelity
 from probe_env.design import RANGES
 from probe_env.envs.task.config import TaskConfig
+from probe_env.envs.task.rules import FAILURES
+from probe_env.envs.trials import Trial
 from probe_env.fidelity import PRESETS
 
 SPAN = 47.5  # [m] of the study's helix
@@ -21,7 +23,7 @@ AXES = {"guide_length": (1.0, 10.0, "m"), "line_density": (0.09, 0.14, "kg/m")}
 def closed_form(point):
     """Pareto set: line_density = 0.1 and any guide length; ratio (10 - L)^2 + ..., time 10 L + ..., margin is free."""
     penalty = 1e4 * (point["line_density"] - 0.10) ** 2
-    return (10.0 - point["guide_length"]) ** 2 + penalty, 10.0 * point["guide_length"] + penalty, -penalty
+    return (10.0 - point["guide_length"]) ** 2 + penalty, 10.0 * point["guide_length"] + penalty, -penalty, 5.0
 
 
 STARTS = [{"guide_length": 5.0, "line_density": 0.1}, {"guide_length": 7.0, "line_density": 0.12}]
@@ -112,11 +114,12 @@ def test_a_probe_that_does_not_get_through_is_judged_the_worst(monkeypatch):
     """Missed metres count with the capped ratio and the slowest feed, so that ending early never pays."""
     problem = DesignProblem((Context(),), "constant")
     kpis = {"mean_square_ratio": 0.1, "inspection_time_s": 100.0, "drive_margin_n": -0.1, "missed_m": 27.5}
+    kpis["euler_margin"] = 7.0
     monkeypatch.setattr(DesignTrials, "run", lambda *_: [kpis])
-    squares, seconds, margin = problem.value(Design().model_dump())
+    squares, seconds, margin, euler = problem.value(Design().model_dump())
     assert squares == pytest.approx((0.1 * 20.0 + 9.0 * 27.5) / 47.5)
     assert seconds == pytest.approx(100.0 + 27.5 / 0.02)
-    assert margin == -0.1
+    assert (margin, euler) == (-0.1, 7.0)
 
 
 @pytest.mark.slow
@@ -126,8 +129,8 @@ def test_codesign_simulates_whole_insertions_with_feedback():
     tube, fast = (Context(),), PRESETS["fast"]
     driven, fed = (DesignProblem(tube, feed, True, fast) for feed in ("ppo", "constant"))
     point = Design(guide_length=10.0).model_dump()
-    squares, seconds, margin = driven.value(point)
-    loud, study_seconds, _ = fed.value(point)
+    squares, seconds, margin, _ = driven.value(point)
+    loud, study_seconds, *_ = fed.value(point)
     assert study_seconds == pytest.approx(SPAN / 0.2, rel=0.02)
     assert squares < loud
     assert margin > 0.0
@@ -143,6 +146,9 @@ def test_comparison_is_paired_and_resumable(tmp_path, capsys):
     assert parts.equals(whole)
     repeated = compare(designs, DesignTrials(tubes), tmp_path / "whole")
     assert repeated["reward"].to_numpy() == pytest.approx(whole["reward"].to_numpy(), rel=1e-12)
+    assert whole["radial_peak_hz_at_50"].between(2.0, 500.0).all()  # up to half of the sampling rate
+    squares = whole[[f"radial_rms_m_at_{position}" for position in range(10, 60, 10)]].to_numpy() ** 2
+    assert squares @ [12.5, 10.0, 10.0, 10.0, 5.0] / SPAN == pytest.approx(whole["radial_rms_m"].to_numpy() ** 2)
     print_comparison(whole)
     assert "time [s]" in capsys.readouterr().out  # a unit is no markup
     rows = summarise(whole).set_index(["design", "kpi"])
@@ -158,16 +164,69 @@ def test_comparison_is_paired_and_resumable(tmp_path, capsys):
         compare(designs, DesignTrials(tubes, fidelity=Fidelity(time_step=1e-4)), tmp_path)
 
 
-def test_one_tube_has_no_intervals(capsys):
-    """One value has no scatter; two have."""
-    rows = {"design": ["plain"] * 2, "context": [0, 1], "reward": [1.0, 3.0], "inspection_time_s": [275.0, 275.0]}
+def test_rms_of_a_whole_insertion_is_by_the_nearest_position():
+    """Of 48 metres with 1, 2, 3, ... um, the last 20 of them not reached."""
+    metres = np.arange(48.0)[None]
+    trial = Trial(
+        np.where(metres < 28.0, 1.0, 0.0), metres, metres, 1e-6 * (metres + 1.0), metres, metres > 0.0,
+        dict.fromkeys(FAILURES, np.zeros(1, dtype=bool)),
+    )  # fmt: skip
+    columns = DesignTrials([Context()], full=True)._vibration_at_positions(trial)
+    # the middle of the 13th metre is at 15 m, as far from 10 m as from 20 m
+    for position, metres in ((10, (1, 14)), (20, (14, 24)), (30, (24, 29))):
+        middle = np.sqrt(np.mean(np.arange(*metres) ** 2.0))
+        assert columns[f"radial_rms_m_at_{position}"] == pytest.approx(1e-6 * middle)
+    assert all(np.isnan(columns[f"radial_rms_m_at_{position}"]) for position in (40, 50))
+
+
+def test_fewer_than_six_tubes_have_no_intervals(capsys):
+    """Nor have equal values in six."""
+    rows = {"design": ["plain"] * 6, "context": range(6), "reward": [1.0, 3.0] * 3, "inspection_time_s": [275.0] * 6}
     table = pd.DataFrame(rows | dict.fromkeys(("complete", "lost_drive", "diverged"), 0.0))
-    for part, title in ((table, "Means over 2 tubes with 95 % intervals"), (table[:1], "One tube; change")):
-        print_comparison(part)
+    for count, title in (
+        (6, "Means over 6 tubes with 95 % intervals;"),
+        (5, "5 tubes, too few"),
+        (1, "One tube; change"),
+    ):
+        print_comparison(table[:count])
         printed = capsys.readouterr().out
         assert title in printed
-        assert ("[1, 3]" in printed) == (len(part) == 2)
+        assert ("2 [1" in printed) == (count == 6)
         assert "[275" not in printed
+
+
+def test_design_outside_the_space_is_compared_with_a_warning(tmp_path, monkeypatch):
+    """Where the model holds: a wall of 1e5 N/m is too soft for the cable between floats of 20 mm of distance."""
+    kpis = dict.fromkeys(("reward", "radial_rms_m", "share_within_limit", "lost_drive", "diverged"), 0.0)
+    monkeypatch.setattr(
+        DesignTrials, "run", lambda _, pairs, seeds: [kpis | {"inspection_time_s": 238.0} for _ in pairs]
+    )
+    trials = DesignTrials([Context()])
+    with pytest.warns(
+        UserWarning, match=r"'close' is outside the design space: float_pitch = 0.04 m is not within 0.05"
+    ):
+        assert len(compare({"close": Design(float_pitch=0.04)}, trials, tmp_path / "close")) == 1
+    with (
+        pytest.warns(UserWarning, match="float_pitch = 0.02 m"),
+        pytest.raises(ValueError, match=r"design 'closer' in table 2: contact_stiffness = .* softer than the buckling"),
+    ):
+        compare({"closer": Design(float_pitch=0.02)}, trials, tmp_path / "closer")
+
+
+def test_designs_below_the_euler_margin_are_not_on_the_front(tmp_path):
+    """The margin rises with the density, whose best value violates it: the front is at the nearest that does not."""
+
+    def value(point):
+        return *closed_form(point)[:3], 100.0 * point["line_density"]
+
+    table = trials_table(search(AXES, value, 120, tmp_path, "known", 16, 0, (), 11.0), 11.0)
+    front = table[table["on_front"]]
+    assert (front["euler_margin"] >= 11.0).all()
+    late = table[table["trial"] >= 80]
+    assert (late["euler_margin"] >= 11.0).mean() > 0.7  # the sampler avoids them; the range has 60 %
+    assert front["line_density"].median() < 0.113
+    alone = trials_table(search(AXES, value, 2, tmp_path / "two", "known", 8, 0, STARTS, 20.0), 20.0)
+    assert alone["on_front"].any()  # none is feasible: that of all
 
 
 def test_search_command_writes_its_results_and_goes_on(tmp_path, capsys, monkeypatch):

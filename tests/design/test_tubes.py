@@ -43,6 +43,7 @@ def test_designs_start_from_the_probe_of_the_plant(tmp_path, capsys, refused):
     assert set(table["tube"]) == {"mine (bore 19.5 mm, helix 40 m)"}
     assert table[table["design"] == "own"]["inspected_m"].to_numpy() == pytest.approx(35.0)
     assert table[table["design"] == "long"]["inspected_m"].to_numpy() == pytest.approx(27.5)
+    assert (tmp_path / "out" / "designs.png").stat().st_size > 20_000
     built = json.loads((tmp_path / "out" / "manifest.json").read_text())["designs"]
     assert (built["own"]["line_density"], built["long"]["line_density"]) == (0.13, 0.13)
     assert built["long"]["carrier_float_diameter"] == 0.016
@@ -61,7 +62,6 @@ def test_designs_that_do_not_fit_are_refused(tmp_path, refused):
     tight, short = OWN.replace("17e-3", "16e-3"), "helix_length = 20 m: designs are compared as far as"
     for plant, arguments, message in (
         (OWN, ["compare", "improved"], "design 'improved' in mine: probe.guide_float_diameter = 0.02 m must be less"),
-        (OWN.replace("0.13", "0.2"), ["compare", "long.toml"], "long.toml: line_density is not given, and that of the"),
         (OWN, ["compare", "off.toml"], "off.toml: guide_length = 5.03 m is not a whole multiple"),
         (OWN.replace("40.0", "20.0"), ["compare", "long.toml"], short),
         (OWN.replace("40.0", "20.0"), ["design"], short),
@@ -78,6 +78,9 @@ def test_search_stays_within_what_fits_the_plant(tmp_path, capsys, monkeypatch):
     assert problem.axes["feed_speed"][1] == 0.25
     assert list(problem.probes) == ["the plant's own", "the study's improved"]
     assert problem.probes["the plant's own"].line_density == 0.13
+    Path("mine.toml").write_text(OWN.replace("0.13", "0.2"))  # outside the design space
+    assert list(problem_of("mine").probes) == ["the study's original", "the study's improved"]
+    Path("mine.toml").write_text(OWN)
     for start in problem.starts():
         assert all(low <= start[name] <= high for name, (low, high, _) in problem.axes.items())
     with problem.search_folder(tmp_path / "problem", 0).open():
@@ -87,7 +90,7 @@ def test_search_stays_within_what_fits_the_plant(tmp_path, capsys, monkeypatch):
             another.search_folder(tmp_path / "problem", seed).check()
     assert (usual.cuts, list(usual.probes)) == ((), ["the study's original", "the study's improved"])
 
-    monkeypatch.setattr(DesignProblem, "value", lambda _, point, workers=None: (point["guide_length"], 100.0, 1.0))
+    monkeypatch.setattr(DesignProblem, "value", lambda _, point, workers=None: (point["guide_length"], 100.0, 1.0, 5.0))
     run = ["design", "--tube", "mine.toml", "--limit", "1", "--trials", "20", "--output", "out"]
     assert main(run) == 0
     printed = capsys.readouterr()
@@ -105,8 +108,8 @@ def test_probe_that_cannot_be_simulated_ranks_last(tmp_path, monkeypatch):
     problem = problem_of("smooth", tubes=1)
     soft = {name: low for name, (low, _, _) in problem.axes.items()}
     soft |= {name: problem.axes[name][1] for name in ("guide_length", "guide_float_diameter", "carrier_float_diameter")}
-    squares, seconds, margin = problem.value(soft | {"air_supply_rate": problem.axes["air_supply_rate"][1]})
-    assert (squares, margin) == (9.0, -0.8)
+    squares, seconds, margin, euler = problem.value(soft | {"air_supply_rate": problem.axes["air_supply_rate"][1]})
+    assert (squares, margin, euler) == (9.0, -0.8, 0.0)
     assert seconds == pytest.approx(67.5 / 0.03)
 
 
@@ -114,6 +117,6 @@ def test_search_scores_over_the_length_of_the_plant():
     """A constant feed takes the span over it: 27.5 and 67.5 m at 0.2 m/s, unless the probe does not get through."""
     for name, span in (("mine", 27.5), ("other", 67.5)):
         problem = problem_of(name, "constant", tubes=1)
-        _, seconds, margin = problem.value(problem.probes["the plant's own"].model_dump())
+        _, seconds, margin, _ = problem.value(problem.probes["the plant's own"].model_dump())
         assert seconds == pytest.approx(span / 0.2)
         assert margin > 0.0

@@ -54,10 +54,25 @@ def test_design_that_cannot_be_built_names_the_nearest():
             Design.model_validate(fields).check_whole_pitches()
 
 
+def test_design_outside_the_space_names_its_deviations():
+    rng = np.random.default_rng(0)
+    pitches = [design.float_pitch for design in (Design.random(rng) for _ in range(50)) if not design.deviations]
+    assert 0.1 <= min(pitches) < 0.11 < 0.14 < max(pitches) <= 0.15
+    assert len(pitches) == 50
+    design = Design(float_pitch=0.04, guide_float_diameter=0.021, guide_length=0.8)
+    assert design.deviations == [
+        "guide_length = 0.8 m is not within 1 to 10 m",
+        "guide_float_diameter = 0.021 m is not within 0.016 to 0.02 m",
+        "float_pitch = 0.04 m is not within 0.05 to 0.15 m",
+    ]
+    assert design.built == design
+    assert design.cut_to(Scene()) is design  # it fits the bore
+
+
 def test_broken_design_files_are_named(tmp_path):
     path = tmp_path / "broken.toml"
     for text, problem in (
-        ("guide_length = 0.5", "0.5 m is outside the accepted range 1 to 10 m"),
+        ("guide_length = 10.5", "10.5 m is outside the accepted range 0 to 10 m"),
         ("guide_length = nan", "guide_length"),
         ("damping_time = 5e-5", "damping_time"),
         ("guide_length = 2.5\nguide_length = 3.0", "not a TOML file"),
@@ -125,6 +140,7 @@ def test_scores_equal_closed_values():
     assert kpis["share_within_limit"][0] == pytest.approx(20.0 / 47.5)
     assert kpis["inspection_time_s"][0] == pytest.approx(237.5)
     assert kpis["drive_margin_n"][0] == pytest.approx(3.2)
+    assert kpis["euler_margin"][0] == pytest.approx(np.pi**2 * 0.048 / 0.1**2 / 4.0)
     assert kpis["radial_rms_m"][0] == pytest.approx(np.sqrt((20.0 * 5e-5**2 + 27.5 * 5e-4**2) / 47.5))
     # sections that were not reached have the greatest cost
     terms, kpis = score_designs([IMPROVED], two_sections((5e-5, 0.0), diverged=True, widths=(20.0, 0.0)), CONFIG)

@@ -15,6 +15,7 @@ from probe_agents.records.shipped import file_or_shipped
 from probe_agents.terminal.tables import print_line
 from probe_env import Scene, Simulator
 from probe_env.physics.methods import METHODS, method_named
+from probe_env.scene import Probe
 from probe_env.settings import within
 
 Policies = Annotated[tuple[str, ...], tyro.conf.arg(metavar="[POLICY ...]")]
@@ -208,15 +209,24 @@ class Render:
     """Seed of the tube and the sensor noise."""
     tube: File = None
     """Your plant (tube.toml), from which a tube is sampled."""
+    design: File = None
+    """Design file (.toml) or name of a shipped design, instead of the plant's or table 2's probe."""
 
     def run(self) -> None:
         """Simulate, draw, write."""
+        from probe_agents.design.trials import read_design
         from probe_agents.evaluation.film import render_episode, render_strip
         from probe_agents.policies.cases import plant_at
 
         if self.at is not None and self.view != "strip":
             raise ValueError(f"at = {self.at!r} m needs --view strip")
-        options: dict[str, Any] = {"tube": plant_at(self.tube), "fidelity": self.fidelity, "contexts": self.contexts}
+        plant = plant_at(self.tube)
+        options: dict[str, Any] = {"tube": plant, "fidelity": self.fidelity, "contexts": self.contexts}
+        if self.design:
+            base = plant.probe if plant else Probe()
+            probe = read_design(file_or_shipped("design", self.design), base).probe(base)
+            changed = plant.model_copy(update={"probe": probe}) if plant else None
+            options |= {"tube": changed} if changed else {"scene": Scene.fitted({"probe": probe}).whole()}
         if self.view == "strip":
             options |= {"at": self.at, "length": self.length, "duration": self.duration}
             figures = render_strip(self.env_id, self.output, self.policy, self.seed, **options)

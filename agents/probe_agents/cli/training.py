@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import tyro
 
 from probe_agents.cli.parsing import File, hide_default
 from probe_agents.evaluation.workers import Workers
 from probe_agents.terminal.tables import print_line
-
-if TYPE_CHECKING:
-    from probe_env import Design
-    from probe_env.scene import Probe
 
 
 @dataclass(frozen=True)
@@ -103,12 +99,13 @@ class Compare:
     fidelity: str = "fast"
     """Accuracy of the simulation: fast (time-lapse in whole insertions only), standard, reference, study or auto."""
     output: Path = Path("output/compare")
-    """Folder of designs.csv and summary.csv; stored trials are not run again."""
+    """Folder of designs.csv, summary.csv and designs.png; stored trials are not run again."""
 
     def run(self) -> None:
         """Run what is missing, store, print."""
         from probe_agents.design.compare import compare, print_comparison
-        from probe_agents.design.trials import DesignTrials
+        from probe_agents.design.picture import draw_designs
+        from probe_agents.design.trials import DesignTrials, read_design
         from probe_agents.policies.cases import read_case
         from probe_agents.records.shipped import file_or_shipped
         from probe_agents.terminal.names import checked_name, name_of
@@ -120,23 +117,14 @@ class Compare:
             for path, stem in zip(paths, stems, strict=True)
         ]
         case = read_case(self.tube, self.contexts, self.limit)
-        designs = {name: _design(path, case.config.scene.probe) for name, path in zip(names, paths, strict=True)}
+        designs = {name: read_design(path, case.config.scene.probe) for name, path in zip(names, paths, strict=True)}
         if len(designs) != len(paths):
             raise ValueError(f"designs = {', '.join(map(str, self.designs))}: two have the same name")
         trials = DesignTrials.of_case(case, self.feed, self.full, self.fidelity)
-        print_comparison(compare(designs, trials, self.output))
-        print_line(f"written: {self.output}/ (designs.csv, summary.csv)")
-
-
-def _design(path: Path, probe: Probe) -> Design:
-    """The design of a file; missing fields are those of the plant's probe. It must be buildable as it is."""
-    from probe_env import Design
-    from probe_env.settings import errors_in
-
-    with errors_in(path):
-        design = Design.from_toml(path).completed(probe)
-        design.check_whole_pitches()
-    return design
+        table = compare(designs, trials, self.output)
+        print_comparison(table)
+        draw_designs(designs, table, case.config, self.output / "designs.png")
+        print_line(f"written: {self.output}/ (designs.csv, summary.csv, designs.png)")
 
 
 @dataclass(frozen=True)
@@ -152,6 +140,8 @@ class DesignSearch:
     """Simulate whole insertions instead of sections of constant length."""
     trials: int = 240
     """Number of designs."""
+    min_euler_margin: float = 4.0
+    """Constraint: least Euler load of a pitch over the root tension; 0: none."""
     contexts: Literal["train", "validation", "test"] = "train"
     """Shipped list of tubes."""
     limit: int = 6
@@ -173,7 +163,9 @@ class DesignSearch:
         from probe_agents.policies.cases import read_case
 
         case = read_case(self.tube, self.contexts, self.limit)
-        problem = DesignProblem.of_case(case, self.feed, self.full, self.fidelity)
+        problem = replace(
+            DesignProblem.of_case(case, self.feed, self.full, self.fidelity), min_euler_margin=self.min_euler_margin
+        )
         run_design_search(problem, self.trials, self.output, self.seed, self.workers)
 
 

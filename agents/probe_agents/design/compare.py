@@ -1,9 +1,11 @@
 """Compares probe designs in the same tubes under one feed, with intervals and paired differences."""
 
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Final, Self
 
+import numpy as np
 import pandas as pd
 from pydantic import FiniteFloat, model_validator
 from tqdm import tqdm
@@ -32,6 +34,8 @@ COLUMNS: Final[Columns] = {
 }  # fmt: skip
 """Columns of the stored table; some depend on the task."""
 BATCH = 16
+MIN_TUBES: Final = 6
+"""Fewest tubes for an interval: the bootstrap of fewer is too narrow."""
 
 
 class Trial(Stored):
@@ -54,10 +58,13 @@ def compare(designs: Mapping[str, Design], trials: DesignTrials, output: Path) -
     if not designs:
         raise ValueError("designs = none: give at least one design file (TOML) or the name of a shipped design")
     trials.check()
-    if trials.plant_label != TABLE_2:  # table 2 accepts the whole design space
+    if trials.plant_label != TABLE_2:
         name = name_and_spec(trials.feed)[0]
         check_domains(domains_of([trials.feed], {name: trials.policy()}), trials.config, trials.contexts, strict=False)
-        for name, design in designs.items():
+    for name, design in designs.items():
+        if design.deviations:
+            warnings.warn(f"design {name!r} is outside the design space: {'; '.join(design.deviations)}", stacklevel=2)
+        if design.deviations or trials.plant_label != TABLE_2:  # table 2 accepts the whole design space
             for context in trials.contexts:
                 try:
                     check_candidate(design, context, trials.config, trials.fidelity, trials.schedule())
@@ -101,13 +108,18 @@ def _compared(
 
 
 def summarise(table: pd.DataFrame) -> pd.DataFrame:
-    """Mean and interval of every KPI of every design over the contexts, and paired difference from the first design."""
+    """Mean and interval of every KPI of every design over the contexts, and paired difference from the first design.
+
+    The ends of the intervals are NaN for fewer than ``MIN_TUBES`` contexts.
+    """
     first, rows = str(table["design"].iloc[0]), []
     by_design = {name: part.set_index("context") for name, part in table.groupby("design", sort=False)}
     for name, part in by_design.items():
         for kpi in kpis_of(part.columns, OF_DESIGNS):
-            mean = mean_interval(part[kpi].to_numpy())
-            change = mean_interval((part[kpi] - by_design[first][kpi]).to_numpy())
+            mean, change = (
+                mean_interval(values) if len(values) >= MIN_TUBES else Interval(float(values.mean()), np.nan, np.nan)
+                for values in (part[kpi].to_numpy(), (part[kpi] - by_design[first][kpi]).to_numpy())
+            )
             rows.append((name, kpi, mean.mean, mean.low, mean.high, change.mean, change.low, change.high))
     columns = ["design", "kpi", "mean", "low", "high", "change", "change_low", "change_high"]
     return pd.DataFrame(rows, columns=columns)
@@ -134,7 +146,8 @@ def print_comparison(table: pd.DataFrame) -> None:
     """Print the summary."""
     where = f" of {table['tube'].iloc[0]}" if "tube" in table else ""
     number, summary = table["context"].nunique(), summarise(table)
-    means = f"Means over {number} tubes{where} with 95 % intervals" if number > 1 else f"One tube{where}"
+    intervals = " with 95 % intervals" if number >= MIN_TUBES else f", too few for intervals (at least {MIN_TUBES})"
+    means = f"Means over {number} tubes{where}{intervals}" if number > 1 else f"One tube{where}"
     print_table(f"{means}; change against the first", *texts_of(summary))
     for name, part in table.groupby("design", sort=False):
         counts = part.reindex(columns=list(FAILURES), fill_value=0.0).sum().astype(int)

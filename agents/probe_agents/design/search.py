@@ -21,7 +21,7 @@ from optuna.trial import FrozenTrial, TrialState
 from scipy.stats import rankdata
 from tqdm import tqdm
 
-from probe_agents.design.trials import DIRECTIONS, OBJECTIVES, DesignProblem, Values
+from probe_agents.design.trials import DIRECTIONS, EULER_MARGIN, OBJECTIVES, DesignProblem, Values
 from probe_agents.evaluation.statistics import bootstrap_ends
 from probe_agents.evaluation.workers import HERE, Workers
 from probe_agents.records.atomic import write_atomically
@@ -61,21 +61,26 @@ def search(
     population: int = 24,
     seed: int = 0,
     starts: Sequence[Mapping[str, float]] = (),
+    min_euler_margin: float = 0.0,
 ) -> optuna.Study:
     """Run or continue a search and return the study.
 
     Args:
         axes: name -> lowest, highest, unit.
-        value: function from a point to its objectives, in the order of ``OBJECTIVES``.
+        value: function from a point to its objectives, in the order of ``OBJECTIVES``, and its Euler margin.
         trials: total number of complete trials.
         output: folder of the journal.
         name: name of the study in the journal.
         population: designs per generation.
         seed: seed of the search.
         starts: first points, part of the first generation.
+        min_euler_margin: constraint; designs that violate it come after all others.
     """
     output.mkdir(parents=True, exist_ok=True)
     study = open_study(output / JOURNAL, name, DIRECTIONS)
+
+    def violation(trial: FrozenTrial) -> tuple[float]:
+        return (min_euler_margin - float(trial.user_attrs[EULER_MARGIN]),)
 
     def complete() -> int:
         return len(study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,)))
@@ -86,28 +91,36 @@ def search(
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
                 draws = int(np.random.SeedSequence([seed, number]).generate_state(1)[0])
-                sampler = RepeatableNSGAII(population_size=population, seed=draws)
+                sampler = RepeatableNSGAII(population_size=population, seed=draws, constraints_func=violation)
                 fixed = dict(starts[number]) if number < len(starts) else {}
                 study.sampler = PartialFixedSampler(fixed, sampler) if fixed else sampler
                 trial = study.ask()
             point = {axis: trial.suggest_float(axis, low, high) for axis, (low, high, _) in axes.items()}
             trial.set_user_attr(COMMIT, commit())
-            study.tell(trial, value(point))
+            *objectives, margin = value(point)
+            trial.set_user_attr(EULER_MARGIN, margin)
+            study.tell(trial, objectives)
             bar.update()
     return study
 
 
-def trials_table(study: optuna.Study) -> pd.DataFrame:
-    """Complete trials: number, point, objectives, commit, and whether the design is on the front."""
+def trials_table(study: optuna.Study, min_euler_margin: float = 0.0) -> pd.DataFrame:
+    """Complete trials: number, point, objectives, Euler margin, commit, and whether the design is on the front.
+
+    The front is that of the designs with at least the Euler margin; without any, that of all.
+    """
     complete = sorted(study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,)), key=lambda trial: trial.number)
     rows = (
         {"trial": k} | trial.params | dict(zip(OBJECTIVES, trial.values, strict=True))
-        | {COMMIT: trial.user_attrs.get(COMMIT, "unknown")}
+        | {EULER_MARGIN: trial.user_attrs[EULER_MARGIN], COMMIT: trial.user_attrs.get(COMMIT, "unknown")}
         for k, trial in enumerate(complete)
     )  # fmt: skip
     table = pd.DataFrame(rows)
     signs = np.array([1.0 if direction == "minimize" else -1.0 for direction in DIRECTIONS])
-    table["on_front"] = moocore.is_nondominated(table[list(OBJECTIVES)].to_numpy() * signs)
+    accepted = table[EULER_MARGIN] >= min_euler_margin
+    accepted |= not accepted.any()
+    table["on_front"] = False
+    table.loc[accepted, "on_front"] = moocore.is_nondominated(table.loc[accepted, list(OBJECTIVES)].to_numpy() * signs)
     return table
 
 
@@ -141,14 +154,16 @@ def run_design_search(
     A search in the folder is continued up to the total number of trials. The workers share the tubes of a trial.
     """
     problem.check()
+    within("min_euler_margin", problem.min_euler_margin, 0.0, 1000.0, "")
     within("seed", seed, 0, 2**63, "")
     within("trials", trials, 2, 1_000_000, "")
     for cut in problem.cuts:
         print(f"probe-env: note: {cut}", file=sys.stderr)
     value = partial(problem.value, workers=workers)
+    least = problem.min_euler_margin
     with problem.search_folder(output, seed).open(JOURNAL) as folder:
-        study = search(problem.axes, value, trials, output, seed=seed, starts=problem.starts())
-        return _write_tables(problem, trials_table(study), folder, seed)
+        study = search(problem.axes, value, trials, output, "design", 24, seed, problem.starts(), least)
+        return _write_tables(problem, trials_table(study, least), folder, seed)
 
 
 def _write_tables(problem: DesignProblem, table: pd.DataFrame, folder: ResultFolder, seed: int) -> pd.DataFrame:
@@ -186,7 +201,7 @@ def best_of(front: pd.DataFrame, config: TaskConfig) -> Design:
 
 def _print(front: pd.DataFrame, influence: pd.DataFrame, problem: DesignProblem) -> None:
     axes, where = problem.axes, f" in {problem.plant_label.title}" if problem.plant_label.title else ""
-    names = (*axes, *OBJECTIVES)
+    names = (*axes, *OBJECTIVES, EULER_MARGIN)
     rows = ([str(row["trial"]), *(f"{row[name]:.3g}" for name in names)] for row in front.to_dict("records"))
     units = {name: unit for name, (_, _, unit) in axes.items()} | {"inspection_time_s": "s", "drive_margin_n": "N"}
     labels = (name.removesuffix("_s").removesuffix("_n").replace("_", " ") for name in names)

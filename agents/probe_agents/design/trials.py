@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import math
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -19,10 +20,13 @@ from probe_agents.policies.on_map import min_air
 from probe_agents.policies.policy import Policy
 from probe_agents.records.result_folder import ResultFolder
 from probe_env import Context, Design, Fidelity
+from probe_env.arrays import FloatArray
 from probe_env.design import RANGES, ranges_in
 from probe_env.envs.task.config import TaskConfig
 from probe_env.envs.trials import (
+    SENSOR_START,
     Candidate,
+    Trial,
     check_candidate,
     check_measure,
     score_designs,
@@ -32,12 +36,27 @@ from probe_env.envs.trials import (
 )
 from probe_env.envs.vibration_map import VibrationMap, feeds
 from probe_env.fidelity import resolve_fidelity
+from probe_env.scene import Probe
 from probe_env.schedule import Schedule
+from probe_env.settings import errors_in
 
 OBJECTIVES: Final = ("mean_square_ratio", "inspection_time_s", "drive_margin_n")
 DIRECTIONS: Final[tuple[Literal["minimize", "maximize"], ...]] = ("minimize", "minimize", "maximize")
-Values = tuple[float, float, float]
+RMS_AT, PEAK_AT = "radial_rms_m_at_", "radial_peak_hz_at_"
+"""Columns of rms and of the frequency of the highest peak over the sensor's position: the end is the position [m]."""
+EULER_MARGIN: Final = "euler_margin"
+"""Constraint, and the KPI that it is of."""
+Values = tuple[float, float, float, float]
+"""Objectives and Euler margin."""
 IMPROVED: Final = Design(guide_length=10.0, guide_float_diameter=0.020, carrier_float_diameter=0.016)
+
+
+def read_design(path: Path, probe: Probe) -> Design:
+    """The design of a file; missing fields are those of the plant's probe. It must be buildable as it is."""
+    with errors_in(path):
+        design = Design.from_toml(path).completed(probe)
+        design.check_whole_pitches()
+    return design
 
 
 def constant_schedule(feed_speed: float, air_supply_rate: float) -> Schedule:
@@ -137,11 +156,26 @@ class DesignTrials:
         simulate = try_insertions if self.full else try_sections
         trial = simulate(candidates, self.config, self.fidelity, threads=threads)
         terms, kpis = score_designs([design for design, _ in pairs], trial, self.config)
-        rewards = np.sum(list(terms.values()), axis=0)
-        return [
-            {"reward": float(rewards[k])} | {name: float(values[k]) for name, values in kpis.items()}
-            for k in range(len(pairs))
-        ]
+        kpis = {"reward": np.sum(list(terms.values()), axis=0)} | kpis | self._vibration_at_positions(trial)
+        rows = [{name: float(values[k]) for name, values in kpis.items()} for k in range(len(pairs))]
+        return [{name: value for name, value in row.items() if not math.isnan(value)} for row in rows]
+
+    def _vibration_at_positions(self, trial: Trial) -> dict[str, FloatArray]:
+        """Columns ``RMS_AT`` and ``PEAK_AT`` (n,) of each position, NaN where the probe did not arrive."""
+        positions = np.array(segment_of(self.config).positions)
+        middles = SENSOR_START + np.arange(trial.widths.shape[1]) + 0.5 if self.full else positions
+        nearest = np.abs(middles[:, None] - positions).argmin(axis=1)
+        columns = {}
+        for k, position in enumerate(positions.tolist()):
+            width = np.where(nearest == k, trial.widths, 0.0)
+            total = width.sum(axis=1)
+            square = (width * trial.radial_rms**2).sum(axis=1)
+            columns[f"{RMS_AT}{position:.4g}"] = np.where(
+                total > 0.0, np.sqrt(square / np.maximum(total, 1e-9)), np.nan
+            )
+            if trial.frequency is not None:
+                columns[f"{PEAK_AT}{position:.4g}"] = np.where(total > 0.0, trial.frequency[:, k], np.nan)
+        return columns
 
 
 @dataclass(frozen=True)
@@ -149,10 +183,11 @@ class DesignProblem(DesignTrials):
     """Search space and objectives; every design is simulated in all contexts.
 
     ``feed``: "best-constant" searches feed speed and air together with the probe; else a schedule, or with ``full`` any
-    policy.
+    policy. ``min_euler_margin``: constraint, see docs/designs.md.
     """
 
     feed: str = "best-constant"
+    min_euler_margin: float = 4.0
 
     def check(self) -> None:
         """Raise ValueError as for trials, or if no reference probe can be simulated in the tubes."""
@@ -185,10 +220,10 @@ class DesignProblem(DesignTrials):
     @property
     def probes(self) -> dict[str, Design]:
         """Reference probes of a search: the plant's (or the study's original) and the study's improved one."""
-        try:
-            probe = Design().completed(self.config.scene.probe)
-        except ValueError:  # outside the design space
-            probe = Design()
+        probe = Design()
+        with suppress(ValueError):  # a longer guide
+            own = Design().completed(self.config.scene.probe)
+            probe = Design() if own.deviations else own
         first = "the study's original" if probe == Design() else "the plant's own"
         designs = {first: probe, "the study's improved": IMPROVED}
         return {name: design.cut_to(self.config.scene) for name, design in designs.items()}
@@ -210,10 +245,10 @@ class DesignProblem(DesignTrials):
         """The folder of a search for this problem."""
         feed = self.feed if self.feed == "best-constant" else self.policy().describe()
         tubes = [context.model_dump() for context in self.contexts]
-        return self.folder(path, feed=feed, seed=seed, variables=self.axes, tubes=tubes)
+        return self.folder(path, feed=feed, seed=seed, variables=self.axes, tubes=tubes, least=self.min_euler_margin)
 
     def value(self, point: dict[str, float], workers: Workers = HERE) -> Values:
-        """The objectives: means over the tubes, and the smallest drive margin.
+        """The objectives: means over the tubes, and the smallest drive margin; and the smallest Euler margin.
 
         Length that a probe does not inspect, after lost drive, divergence, or if it cannot be simulated in a tube (see
         ``probe_env.envs.episodes.limits``), has the cap of the ratio and the slowest feed.
@@ -229,7 +264,8 @@ class DesignProblem(DesignTrials):
         span = segment_of(self.config).span
         squares = [(k["mean_square_ratio"] * (span - k["missed_m"]) + cap * k["missed_m"]) / span for k in kpis]
         times = [k["inspection_time_s"] + slowest * k["missed_m"] for k in kpis]
-        return float(np.mean(squares)), float(np.mean(times)), min(k["drive_margin_n"] for k in kpis)
+        drive, euler = (min(k[name] for k in kpis) for name in ("drive_margin_n", EULER_MARGIN))
+        return float(np.mean(squares)), float(np.mean(times)), drive, euler
 
     def kpis(
         self, point: dict[str, float], tubes: Sequence[tuple[int, Context]], threads: int | None = None
@@ -239,6 +275,7 @@ class DesignProblem(DesignTrials):
         fit = {k: (design, context) for k, context in tubes if self.can_be_tried(point, context)}
         rows = dict(zip(fit, self.run([*fit.values()], [*fit], threads, feed) if fit else [], strict=True))
         nothing = {"mean_square_ratio": 0.0, "inspection_time_s": 0.0, "missed_m": segment_of(self.config).span}
+        nothing[EULER_MARGIN] = 0.0
         nothing["drive_margin_n"] = -self.config.required_tension
         return [rows.get(k, nothing) | {"tube": float(k)} for k, _ in tubes]
 

@@ -128,7 +128,7 @@ def render_strip(
             raise ValueError(f"at = {at!r} m needs a growing insertion; in this environment the length is {start:g} m")
         at = start
     at = STRIP_START * end if at is None else at
-    if not start <= at < end:
+    if episode.episodes.config.growing and not start <= at < end:
         raise ValueError(f"at = {at!r} m is outside the accepted range {start:g} m (the start) to less than {end:g} m")
     episode.reset(seed)
     motion = _motion(episode, at, length, duration)

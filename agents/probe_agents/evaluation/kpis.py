@@ -51,6 +51,7 @@ OF_DESIGNS: Final[Kpis] = {
     **{name: KPIS[name] for name in ("reward", "radial_rms_m", "share_within_limit", "inspection_time_s")},
     "inspected_m": ("inspected in a whole insertion", 1.0, "m"),
     "drive_margin_n": ("drive margin", 1.0, "N"),
+    "euler_margin": ("Euler margin", 1.0, ""),
     **{name: DETECTION[name] for name in ("a90_percent_wall", "length_with_snr_over_3_m")},
 }
 """KPIs of designs, in the order of tables."""

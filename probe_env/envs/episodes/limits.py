@@ -17,11 +17,11 @@ from typing import Final, NamedTuple
 
 from probe_env.envs.task.config import TaskConfig
 from probe_env.fidelity import MESH_NODES, Fidelity
-from probe_env.physics.closed_forms import buckling_load
+from probe_env.physics.closed_forms import buckling_load, steady_tensions
 from probe_env.physics.methods import METHODS, check_scene
 from probe_env.physics.methods.method import Method
 from probe_env.physics.model.chain import air_speed
-from probe_env.scene import Probe, Scene
+from probe_env.scene import Probe, Scene, whole_pitches
 from probe_env.settings import whole_steps
 
 MAX_TURN: Final = 1.0  # [rad]
@@ -100,14 +100,15 @@ def check_simulable(scene: Scene, fidelity: Fidelity, max_length: float, max_air
             f"{tube}: drag stretches the probe and presses it into the wall so that it turns by {turn:.2g} rad along"
             f" the helix, and the model holds up to {MAX_TURN:g} rad; {REMEDY}"
         )
-    tension_limit = _tension_step(fidelity.simulated_method, scene, start.tension, end.tension)
+    sliding = _expanding(scene, max_length, max_air) if scene.air.compressible else end.tension
+    tension_limit = _tension_step(fidelity.simulated_method, scene, start.tension, sliding)
     if fidelity.time_step > tension_limit * (1.0 + 1e-9):
         at_start = _tension_step(fidelity.simulated_method, scene, start.tension, 0.0) == tension_limit
-        pull = f"{start.tension:.3g} N as it starts from rest" if at_start else f"{end.tension:.3g} N as it slides"
+        pull = f"{start.tension:.3g} N as it starts from rest" if at_start else f"{sliding:.3g} N as it slides"
         raise ValueError(
             f"{tube}: drag pulls the probe with {pull}: {fidelity.method_name} needs a time step of at most"
             f" {tension_limit:.2g} s, and that of this fidelity is {fidelity.time_step:g} s: give fidelity ="
-            f" {_stable_settings(fidelity, scene, start.tension, end.tension)}"
+            f" {_stable_settings(fidelity, scene, start.tension, sliding)}"
         )
 
 
@@ -138,6 +139,13 @@ def steady_sliding(scene: Scene, length: float, air_supply_rate: float, friction
         maximum = max(maximum, tension)
     sinking = probe.float_pitch / (scene.contact.stiffness * radius)
     return Sliding(maximum, maximum * sinking, whole * (1.0 / probe.tensile_rigidity + sinking / radius))
+
+
+def _expanding(scene: Scene, length: float, air_supply_rate: float) -> float:
+    """Greatest tension [N] of ``steady_sliding`` with friction in air that expands towards the exit."""
+    carrier = max(whole_pitches(length - scene.probe.guide_length, scene.probe), scene.probe.float_pitch)
+    update = {"carrier_length": carrier, "air_supply_rate": air_supply_rate, "feed_speed": 0.0}
+    return float(steady_tensions(scene.model_copy(update=update), weight=0.0).max())
 
 
 def _max_step(method: Method, scene: Scene, nodes_per_pitch: int) -> float:

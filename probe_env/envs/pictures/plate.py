@@ -48,10 +48,11 @@ class Plate:
 
 
 def label_of(scene: Scene) -> str:
-    """Bore and float diameters as text."""
+    """Bore and dimensions of the probe as text."""
     floats = sorted({scene.probe.carrier_float_diameter, scene.probe.guide_float_diameter})
     diameters = " and ".join(f"{diameter * 1e3:g}" for diameter in floats)
-    return f"bore {scene.tube.inner_diameter * 1e3:g} mm, floats {diameters} mm"
+    probe = f"floats {diameters} mm, pitch {scene.probe.float_pitch * 1e3:g} mm, guide {scene.probe.guide_length:g} m"
+    return f"bore {scene.tube.inner_diameter * 1e3:g} mm, {probe}"
 
 
 def outward(value: float) -> float:

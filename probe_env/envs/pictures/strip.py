@@ -164,7 +164,7 @@ class Strip:
         size = self._tube.get_window_extent()
         (left, right), (low, high) = self._tube.get_xlim(), self._tube.get_ylim()
         self.axial_scale, self.radial_scale = size.width / (right - left), 1e3 * size.height / (high - low)
-        title = f"The last {motion.distance[-1]:g} m behind the tip, unrolled, {SLOWED:g} times slower than it is"
+        title = f"The last {motion.distance[-1]:g} m behind the tip, unrolled, slowed down {SLOWED:g} times"
         figure.text(0.075, 0.955, title, fontsize=11)
         figure.text(0.985, 0.955, f"{policy}; {label_of(motion.scene)}", fontsize=8, color="0.35", ha="right")
         scale = (

@@ -131,7 +131,7 @@ def test_walls_and_floats_are_drawn_to_scale(motion):
     texts = " ".join(text.get_text() for text in strip._now.figure.texts)
     assert f"stretched x {strip.radial_scale / strip.axial_scale:.0f}" in texts
     assert "last 10 m" in texts
-    assert "8 times slower" in texts
+    assert "slowed down 8 times" in texts
     assert pytest.approx(1.0) == SLOWED * FRAMES_PER_SECOND * FRAME_PERIOD
     assert "bore 24.2 mm, floats 18.5 and 19 mm" in texts
 
