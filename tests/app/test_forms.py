@@ -199,7 +199,9 @@ def test_every_offered_overlay_is_a_line():
         line = schedules.policy_line(name, case)
         assert len(line.length) == len(line.feed) == len(line.air) > 1, name
         assert np.isfinite(np.concatenate(line)).all(), name
-    assert (np.diff(schedules.log_line(file_or_shipped("logs", "example-rig")).length) >= 0.0).all()
+    with pytest.warns(UserWarning, match="Not read: 'Bemerkung'"):
+        line = schedules.log_line(file_or_shipped("logs", "example-rig"))
+    assert (np.diff(line.length) >= 0.0).all()
     with pytest.raises(ValueError, match="depends on measurements"):
         schedules.policy_line("pi", case)
 

@@ -132,7 +132,11 @@ def test_evaluate_gives_the_table_with_and_without_a_folder(tmp_path):
     output = tmp_path / "out"
     stored = evaluate(["slow-down", "constant"], output, against="constant", **arguments)
     same(stored.drop(columns="commit"), table.drop(columns="commit"))
-    assert json.loads((output / "report.json").read_text()) == {"against": "constant", "user_policies": []}
+    assert json.loads((output / "report.json").read_text()) == {
+        "against": "constant",
+        "user_policies": [],
+        "plant": "short",
+    }
     manifest = json.loads((output / "manifest.json").read_text())
     assert set(manifest["files"]) == {"episodes.csv", "episodes.parquet", "profile.parquet", "setting.json"}
     assert (manifest["seeds"], list(manifest["policies"])) == ([0], ["slow-down", "constant"])

@@ -141,7 +141,7 @@ class DesignSearch:
     trials: int = 240
     """Number of designs."""
     min_euler_margin: float = 4.0
-    """Constraint: least Euler load of a pitch over the root tension; 0: none."""
+    """Constraint: least Euler load of a pitch over the root tension [-]; 0: none."""
     contexts: Literal["train", "validation", "test"] = "train"
     """Shipped list of tubes."""
     limit: int = 6

@@ -54,7 +54,7 @@ def test_a_custom_tube_is_drawn():
     plate, helix, traces = env._renderer._artists
     assert [axes.get_xlim()[1] for axes in traces._axes[1:]] == [20.0] * 4
     texts = [text.get_text() for text in helix._title.axes.texts]
-    assert "bore 23 mm, floats 18.5 and 19 mm" in texts
+    assert "bore 23 mm, floats 18.5 and 19 mm, pitch 100 mm, guide 2.5 m" in texts
     assert "of 20 m in a helix of 1.3 m" in helix._title.get_text()
     spiral = helix._title.axes.lines[0].get_xydata()
     turned = np.unwrap(np.arctan2(spiral[:, 1], spiral[:, 0]))[-1] / (2.0 * np.pi)
