@@ -15,7 +15,7 @@ from typing import Any, Final, Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from probe_agents.policies.on_map import MARGIN, expected_costs, knots, targets_on_map
+from probe_agents.policies.on_map import MARGIN, expected_costs, knots, min_air, targets_on_map
 from probe_agents.policies.policy import Domain
 from probe_env import Context
 from probe_env.arrays import BoolArray, FloatArray
@@ -245,7 +245,7 @@ class InsertionPlanner(ModelPredictivePolicy):
         each, lengths = list(chain.from_iterable(tubes)), np.repeat(inserted, self.copies)
         best = np.column_stack(targets_on_map(each, lengths, self.config, self.vibration))
         suggested = best.reshape(len(tubes), self.copies, 2).mean(axis=1)
-        return candidates_near(held, suggested, self.candidates, self.config, entropy)
+        return candidates_near(held, suggested, self.candidates, self.config, entropy, min_air(self.config))
 
     def _rest(self, copies: Episodes, held: FloatArray) -> FloatArray:
         inserted = copies.inserted_length
@@ -291,7 +291,7 @@ class InspectionPlanner(ModelPredictivePolicy):
         config, count = self.config, self.candidates
         fastest, (minimum, maximum) = config.feed_speeds[1], config.air_supply_rates
         suggested = np.column_stack([np.full(len(held), fastest), held[:, 1]])
-        tried = candidates_near(held, suggested, count, config, entropy)
+        tried = candidates_near(held, suggested, count, config, entropy, minimum)
         airs = np.random.default_rng([*entropy, count]).uniform(minimum, maximum, size=count)
         actions = config.actions(np.full(count, fastest), airs).astype(np.float32)
         tried[:, 3::2] = config.targets(actions)[3::2]
@@ -318,7 +318,7 @@ class InspectionPlanner(ModelPredictivePolicy):
 
 
 def candidates_near(
-    held: FloatArray, suggested: FloatArray, count: int, config: TaskConfig, entropy: list[int]
+    held: FloatArray, suggested: FloatArray, count: int, config: TaskConfig, entropy: list[int], least_air: float
 ) -> FloatArray:
     """(n, count, 2) feed speeds [m/s] and air supplies [m3/s], rounded like the plant's devices.
 
@@ -330,6 +330,7 @@ def candidates_near(
         count: number of candidates, at least 1.
         config: task.
         entropy: seed of the generator.
+        least_air: least air of the random candidates [m3/s]: the copies do not show a drive that is lost later.
     """
     rng = np.random.default_rng(entropy)
     tried = np.repeat(held[:, None], count, axis=1)
@@ -341,7 +342,7 @@ def candidates_near(
         spread = WIDE if row % 2 else NEAR
         centre = suggested if row % 4 == 1 else held
         tried[:, k, 0] = centre[:, 0] * np.exp(spread[0] * normal[row, 0])
-        tried[:, k, 1] = centre[:, 1] + spread[1] * (high - low) * normal[row, 1]
+        tried[:, k, 1] = np.maximum(centre[:, 1] + spread[1] * (high - low) * normal[row, 1], least_air)
     # through float32 actions: in a chaotic motion digits beyond float32 would change the result
     actions = config.actions(tried[..., 0].ravel(), tried[..., 1].ravel()).astype(np.float32)
     return np.asarray(config.targets(actions)).reshape(tried.shape)
