@@ -97,28 +97,27 @@ def expected_costs(
     """
     vibration = vibration or stored_map()
     check_measure(vibration, config)
-    count, (feed, air) = len(knots(config)), grid(config)
-    length, feed, air = np.repeat(knots(config), len(feed)), np.tile(feed, count), np.tile(air, count)
+    count = len(knots(config))
+    feed, air = (np.tile(column, count) for column in grid(config))
     costs = []
     for context in contexts:
-        mean, deviation = _grid_vibration(tuple(map(float, context)), config, vibration)
+        mean, deviation, slack = _on_grid(tuple(map(float, context)), config, vibration)
         cost = expected_cost(mean + shift, deviation, feed, air, config)
-        pull = root_tensions([_context(*map(float, context))], config, length, feed, air)[0]
-        slack = lacking(config, length, pull, MARGIN)
         costs.append(np.where(slack > 0.0, SLACK_COST * (1.0 + slack), cost).reshape(count, -1))
     return np.array(costs)
 
 
 @lru_cache(maxsize=256)
-def _grid_vibration(
+def _on_grid(
     context: tuple[float, ...], config: TaskConfig, vibration: VibrationMap
-) -> tuple[FloatArray, FloatArray]:
-    """Mean and deviation (knots * g,) of the decadic logarithm of the vibration in one tube."""
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Mean and deviation of log10 of the vibration, and the lacking tension [N], (knots * g,) each, in one tube."""
     feed, air = grid(config)
-    length = knots(config)
-    lengths, count = np.repeat(length, len(feed)), len(length)
-    tube = np.tile(context, (len(lengths), 1))
-    return vibration.predict(lengths, np.tile(feed, count), np.tile(air, count), tube, config.scene)
+    lengths, count = np.repeat(knots(config), len(feed)), len(knots(config))
+    setting = lengths, np.tile(feed, count), np.tile(air, count)
+    pull = root_tensions([_context(*context)], config, *setting)[0]
+    mean, deviation = vibration.predict(*setting, np.tile(context, (len(lengths), 1)), config.scene)
+    return mean, deviation, lacking(config, lengths, pull, MARGIN)
 
 
 @lru_cache(maxsize=4096)
