@@ -238,9 +238,11 @@ def test_short_schedule_has_the_rows_that_describe_it():
 
 
 def test_oracles_are_no_rivals():
-    """However they are wrapped: a planner of both passes, an insertion by it, a shield around it."""
-    names = ["privileged", "pi", "planner", "shielded:privileged"]
-    for passes in ("in", "both"):
+    """However they are wrapped: a round trip, a shield around it."""
+    for passes, names in (
+        ("in", ["privileged", "pi", "planner", "shielded:privileged"]),
+        ("both", ["privileged", "pi", "shielded:privileged"]),
+    ):
         policies = named_policies(names, TaskConfig(passes=passes, privileged=True))
         record = SimpleNamespace(policies={name: policy.describe() for name, policy in policies.items()})
         assert oracle_policies(SimpleNamespace(record=record)) == {name.replace(":", "-") for name in names} - {"pi"}

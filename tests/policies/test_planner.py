@@ -13,7 +13,6 @@ from probe_agents.policies.on_map import best_schedule_for, knots
 from probe_agents.policies.planner import (
     BLUR,
     InsertionPlanner,
-    InspectionPlanner,
     Memory,
     remaining_reward,
     reward_of_holding,
@@ -25,7 +24,7 @@ from probe_env.envs.task.config import TaskConfig
 from probe_env.envs.task.rules import uninspected_weight
 from probe_env.envs.task.scales import RF_FLOOR
 from probe_env.envs.vibration_map import CONTEXT, expected_cost, stored_map
-from probe_env.fidelity import ROUND_TRIP_PRESETS, resolve_fidelity
+from probe_env.fidelity import resolve_fidelity
 from probe_env.physics.closed_forms import entrance_tension, sliding_tension
 
 CONFIG = TaskConfig()
@@ -57,54 +56,42 @@ def task(scored_pass="best", measure="displacement", **changes):
 
 
 def test_candidates_of_the_planner_depend_on_time_only():
-    """In the devices' steps; of both passes the suggestion, and then every second draw, is the fastest feed."""
-    config = task(feed_speed_step=0.01, air_supply_step=5.0 / 3600.0)
+    """In the devices' steps."""
+    config = TaskConfig(feed_speed_step=0.01, air_supply_step=5.0 / 3600.0)
     held, mapped = np.array([[0.2, 0.02], [0.1, 0.03]]), np.array([[0.3, 0.025], [0.05, 0.01]])
     ranges = ((0.01, config.feed_speeds), (5 / 3600, config.air_supply_rates))
-    for both in (False, True):
 
-        def drawn(rows, count, time=3, both=both):
-            if both:
-                planner = InspectionPlanner(config, candidates=count)
-                return planner._candidates([], np.zeros(0), held[rows], [0, time])
-            return planning.candidates_near(held[rows], mapped[rows], count, config, [0, time], 0.0)
+    def drawn(rows, count, time=3):
+        return planning.candidates_near(held[rows], mapped[rows], count, config, [0, time], 0.0)
 
-        suggested = np.column_stack([np.full(2, 0.4), held[:, 1]]) if both else mapped
-        tried = drawn([0, 1], 41)
-        assert tried.shape == (2, 41, 2)
-        np.testing.assert_allclose(tried[:, 0], config.feasible(*held.T), rtol=1e-6)
-        np.testing.assert_allclose(tried[:, 1], config.feasible(*suggested.T), rtol=1e-6)
-        for column, (step, (low, high)) in enumerate(ranges):
-            values = tried[..., column]
-            assert low <= values.min() <= values.max() <= high
-            inside = values[(values > low) & (values < high)]
-            np.testing.assert_allclose(inside / step, np.round(inside / step), atol=1e-6)
-        np.testing.assert_array_equal(drawn([1], 41)[0], tried[1])
-        assert not np.array_equal(drawn([0, 1], 41, 4), tried)
-        np.testing.assert_array_equal(drawn([0, 1], 1)[:, 0], tried[:, 0])
-    np.testing.assert_allclose(tried[:, 3::2, 0], 0.4)
-    minimum, maximum = config.air_supply_rates
-    for lowest in np.linspace(minimum, maximum, 5)[:-1]:  # 19 draws: each quarter is missed once in 240 sets
-        assert ((tried[0, 3::2, 1] >= lowest) & (tried[0, 3::2, 1] <= lowest + 0.25 * (maximum - minimum))).any()
-    assert (np.abs(tried[0, 2::2, 0] / 0.2 - 1.0) < 0.5).all()
+    tried = drawn([0, 1], 41)
+    assert tried.shape == (2, 41, 2)
+    np.testing.assert_allclose(tried[:, 0], config.feasible(*held.T), rtol=1e-6)
+    np.testing.assert_allclose(tried[:, 1], config.feasible(*mapped.T), rtol=1e-6)
+    for column, (step, (low, high)) in enumerate(ranges):
+        values = tried[..., column]
+        assert low <= values.min() <= values.max() <= high
+        inside = values[(values > low) & (values < high)]
+        np.testing.assert_allclose(inside / step, np.round(inside / step), atol=1e-6)
+    np.testing.assert_array_equal(drawn([1], 41)[0], tried[1])
+    assert not np.array_equal(drawn([0, 1], 41, 4), tried)
+    np.testing.assert_array_equal(drawn([0, 1], 1)[:, 0], tried[:, 0])
 
 
 def test_branch_does_not_change_the_episode():
     """A plan is the same with and without company, and holds until the next one."""
-    both = task()
-    for planner, begin in (
-        (InsertionPlanner(CONFIG, candidates=3, periods=2), running),
-        (InsertionPlanner(CONFIG, candidates=3, periods=1, copies=2, blur=BLUR, tube="inferred"), running),
-        (InspectionPlanner(both, periods=2, candidates=4, blur=BLUR), lambda: begun(both)),
+    for planner in (
+        InsertionPlanner(CONFIG, candidates=3, periods=2),
+        InsertionPlanner(CONFIG, candidates=3, periods=1, copies=2, blur=BLUR, tube="inferred"),
     ):
-        looked, alone = begin(), begin()
+        looked, alone = running(), running()
         actions, states = planner.plan_actions(looked, [0, 1], looked.observation, [None, None])
         one, _ = planner.plan_actions(alone, [1], alone.observation[1:], [None])
         np.testing.assert_array_equal(one[0], actions[1])
         assert [state.time for state in states] == [1, 1]
         held, _ = planner.plan_actions(looked, [0, 1], looked.observation, states)
         np.testing.assert_array_equal(held, actions)
-        steps = [each.step(np.zeros((2, 2))) for each in (looked, begin())]
+        steps = [each.step(np.zeros((2, 2))) for each in (looked, running())]
         np.testing.assert_array_equal(steps[0].observation, steps[1].observation)
         np.testing.assert_array_equal(steps[0].reward, steps[1].reward)
 
@@ -128,14 +115,14 @@ def test_best_candidate_has_the_max_reward():
 def test_remaining_reward_at_the_end_and_after_lost_drive():
     planner, held = InsertionPlanner(CONFIG), np.tile([0.4, 0.03], (2, 1))
     short = running(TaskConfig(scene={"tube": {"helix_length": 10.0}}), periods=8, feed=0.4)
-    assert (planner._rest(short, held) != 0.0).all()
+    assert (planner._rest(short) != 0.0).all()
     reward_of_holding(short, held, 6)
     assert not short.running.any()
-    assert (planner._rest(short, held) == 0.0).all()
+    assert (planner._rest(short) == 0.0).all()
     slack = running(TaskConfig(required_tension=50.0, lost_drive_from=0.0), periods=1)  # no air of the range keeps that
     left = CONFIG.scene.tube.helix_length - slack.inserted_length
-    np.testing.assert_allclose(planner._rest(slack, held), -uninspected_weight(CONFIG) * left)
-    assert (InsertionPlanner(CONFIG, rest="nothing")._rest(running(), held) == 0.0).all()
+    np.testing.assert_allclose(planner._rest(slack), -uninspected_weight(CONFIG) * left)
+    assert (InsertionPlanner(CONFIG, rest="nothing")._rest(running()) == 0.0).all()
 
 
 def test_blur_and_other_tubes_change_the_copies_only():
@@ -174,7 +161,7 @@ def test_worth_of_a_candidate_is_the_mean_over_copies():
     for noise in range(8):
         copies = episodes.branch([1] * 8)
         planning.blur_states(copies, range(8), BLUR, [0, 0, noise])
-        worth.append(reward_of_holding(copies, tried, 3) + planner._rest(copies, tried))
+        worth.append(reward_of_holding(copies, tried, 3) + planner._rest(copies))
     assert (np.std(worth, axis=0) > 0.0).all()
     assert (state.feed, state.air) == tuple(tried[np.mean(worth, axis=0).argmax()])
 
@@ -282,11 +269,6 @@ def held(config, feed, air):
     return np.tile(config.action(feed, air), (2, 1))
 
 
-def rest(episodes, feed=0.4, air=30.0 / 3600.0):
-    """Worth with the same feed and air held in all episodes: by default the fastest and the least."""
-    return InspectionPlanner(episodes.config)._rest(episodes, np.tile([feed, air], (len(episodes), 1)))
-
-
 @pytest.mark.parametrize(("scored_pass", "measure"), [("best", "displacement"), ("withdrawal", "snr")])
 def test_copies_of_an_episode_do_as_it_does(scored_pass, measure):
     """From the way in over the turn to the end: every observation, reward and ending, to the last bit."""
@@ -309,44 +291,6 @@ def test_copies_of_an_episode_do_as_it_does(scored_pass, measure):
     np.testing.assert_array_equal(steps[0].reward, steps[1].reward)
 
 
-@pytest.mark.parametrize("scored_pass", ["best", pytest.param("withdrawal", marks=pytest.mark.slow)])
-def test_remaining_reward_bounds_every_episode(scored_pass):
-    """At every period of inspections that are fast and quiet, and shaken by their feed."""
-    config = task(scored_pass)
-    rng = np.random.default_rng(5)
-    for feed in (0.4, None):
-        episodes = begun(config)
-        worth, rewards = [rest(episodes)], []
-        while episodes.running.any():
-            drawn = float(rng.uniform(0.1, 0.4)) if feed is None else feed
-            rewards.append(episodes.step(held(config, drawn, 0.02), episodes.running.copy()).reward)
-            worth.append(rest(episodes))
-        to_come = np.cumsum(rewards[::-1], axis=0)[::-1]
-        assert (to_come <= np.array(worth[:-1]) + 1e-9).all()
-        np.testing.assert_array_equal(worth[-1], 0.0)
-        if feed == 0.4 and scored_pass == "best":  # and by little: the ramps, the air, what the turn shakes
-            assert (to_come[0] > worth[0] - 0.6).all()
-
-
-def test_remaining_reward_of_both_passes():
-    config = task()
-    episodes = begun(config)
-    per_metre = config.time_weight / 0.4 + config.air_weight * config.air_supply_rates[0] / 0.4
-    np.testing.assert_allclose(rest(episodes), 3.0 * config.progress_weight - 6.0 * per_metre)
-    slower = (config.time_weight + config.air_weight * 0.02) / 0.1  # a metre of the way in
-    np.testing.assert_allclose(rest(episodes, 0.1, 0.02), 3.0 * (config.progress_weight - per_metre - slower))
-    while episodes.inserted_length.min() < 6.9:
-        episodes.step(held(config, 0.4, 0.02))
-    known = np.array([episodes.scorer._insertion[k][:, 1].sum() for k in range(2)])
-    left = LENGTH - episodes.inserted_length
-    expected = left * config.progress_weight - (left + 3.0) * per_metre + config.vibration_weight * known
-    np.testing.assert_allclose(rest(episodes), expected)
-    assert known.min() > 0.0
-    hanging = episodes.branch([0])
-    hanging.scorer.slack_periods[0] = 1
-    assert rest(hanging)[0] == pytest.approx(-uninspected_weight(config) * (left[0] + 3.0))
-
-
 def test_reward_of_holding_ends_with_the_episode():
     """A copy that is back stays at what it earned; others go on."""
     config = task()
@@ -361,33 +305,13 @@ def test_reward_of_holding_ends_with_the_episode():
     np.testing.assert_array_equal(whole, rewards)
 
 
-@pytest.mark.slow
-def test_a_planned_inspection_is_fast_and_comes_back():
-    """It begins at 0.2 m/s, and of the 1.5 that lie between that and the best there is it finds all but a third.
-
-    The third is more than ramps and turn take from a probe that is fed at full speed.
-    """
-    config = task()
-    plan = Plan({"planner": make_policy("planner", config)}, TUBES, config=config, fidelity=ROUND_TRIP_PRESETS["fast"])
-    table = run_plan(plan, None, threads=1)
-    assert table["complete"].all()
-    maximum = rest(begun(config))[0]
-    slow = 3.0 - 6.0 * (config.time_weight + config.air_weight * config.air_supply_rates[0]) / 0.2
-    assert (table["reward"] > slow + 2.0 / 3.0 * (maximum - slow)).all()
-    assert (table["reward"] <= maximum).all()
-
-
 def test_planners_by_name_and_their_refusals():
-    config = task()
     assert make_policy("planner-inferred", CONFIG).describe()["tube"] == "inferred"
-    assert make_policy("planner", config).describe()["blur"] == 0.0
-    assert make_policy("planner-averaged", config).describe()["blur"] == BLUR
-    with pytest.raises(ValueError, match="'planner-inferred' plans the insertion only; planners for --passes both"):
-        make_policy("planner-inferred", config)
-    with pytest.raises(ValueError, match="scored_pass = 'insertion': the withdrawal is not scored"):
-        make_policy("planner", task("insertion"))
-    for each, kind in ((CONFIG, InsertionPlanner), (config, InspectionPlanner)):
-        with pytest.raises(ValueError, match="candidates = 0 is outside the accepted range 1 to 1000"):
-            kind(each, candidates=0)
-        with pytest.raises(ValueError, match="a planner needs the simulator, not only observations"):
-            make_policy("planner", each).predict(np.zeros(len(each.observations)))
+    assert make_policy("planner", CONFIG).describe()["blur"] == 0.0
+    assert make_policy("planner-averaged", CONFIG).describe()["blur"] == BLUR
+    with pytest.raises(ValueError, match="'planner' plans insertions only: use passes = 'in'"):
+        make_policy("planner", task())
+    with pytest.raises(ValueError, match="candidates = 0 is outside the accepted range 1 to 1000"):
+        InsertionPlanner(CONFIG, candidates=0)
+    with pytest.raises(ValueError, match="a planner needs the simulator, not only observations"):
+        make_policy("planner", CONFIG).predict(np.zeros(len(CONFIG.observations)))

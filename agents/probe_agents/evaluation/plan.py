@@ -30,7 +30,7 @@ from probe_agents.evaluation.folder import EpisodeId as EpisodeId
 from probe_agents.evaluation.kpis import PROFILE_COLUMNS, PROFILE_COLUMNS_INSTRUMENT
 from probe_agents.evaluation.profiles import file_name
 from probe_agents.evaluation.workers import HERE, Workers
-from probe_agents.policies.planner import ModelPredictivePolicy
+from probe_agents.policies.planner import InsertionPlanner
 from probe_agents.policies.policy import Policy as Policy
 from probe_agents.records.atomic import write_atomically
 from probe_agents.records.manifest import commit, origin, write_json
@@ -225,7 +225,7 @@ def core_seconds(plan: Plan, policy: str) -> float:
         if plan.fidelity.simulates and row.fidelity.numerics == plan.fidelity.numerics
     ]
     scene, planner, planned = plan.config.scene, plan.policies[policy], 0.0
-    if isinstance(planner, ModelPredictivePolicy):
+    if isinstance(planner, InsertionPlanner):
         planned = planner.copies * planner.candidates * planner.periods / planner.every
     motion = scene.tube.helix_length * SECONDS_PER_METRE / plan.fidelity.time_lapse
     pitches = MEAN_FRACTION * scene.tube.helix_length / scene.probe.float_pitch

@@ -20,7 +20,7 @@ from probe_agents.evaluation.kpis import GOALS, HIGH, SCORED_PASSES, displayed_k
 from probe_agents.evaluation.statistics import broken_limits, by_context, endings, ranking, short
 from probe_agents.policies.fixed import Replayed, Scheduled
 from probe_agents.policies.on_map import Privileged
-from probe_agents.policies.planner import InsertionPlanner, InspectionPlanner
+from probe_agents.policies.planner import InsertionPlanner
 from probe_agents.records.atomic import write_atomically
 from probe_agents.records.drawing import MM
 from probe_agents.records.store import write_tables
@@ -43,8 +43,8 @@ TUBE: Final = {
     "drag factor": ("drag_factor", 1.0, 2, ""),
 }
 """Header -> column of a tube, factor, digits and unit."""
-ORACLES: Final = frozenset(["Planner", *(kind.__name__ for kind in (Privileged, InsertionPlanner, InspectionPlanner))])
-"""Policies that use the true tube parameters, which a rig cannot measure; "Planner" in results before version 0.1.0."""
+ORACLES: Final = frozenset(["Planner", "InspectionPlanner", Privileged.__name__, InsertionPlanner.__name__])
+"""Policies that use the true tube parameters, which a rig cannot measure; the first two in older results."""
 SCHEDULES: Final = frozenset([Scheduled.__name__, Replayed.__name__])
 FEW_TUBES: Final = 10
 """Number of tubes below which a bootstrap interval is rough."""

@@ -11,7 +11,7 @@ from typing import Final
 from probe_agents.policies.fixed import BUILT_IN, Replayed, Scheduled
 from probe_agents.policies.law import Law, LawPolicy
 from probe_agents.policies.on_map import MAP_POLICIES, ByDiameter
-from probe_agents.policies.planner import INSPECTION_PLANNERS, PLANNERS, InsertionPlanner, InspectionPlanner
+from probe_agents.policies.planner import PLANNERS, InsertionPlanner
 from probe_agents.policies.plc_law import PlcIntegral, PlcProportional, read_constants
 from probe_agents.policies.policy import MAX_JSON, Domain, Policy
 from probe_agents.policies.wrappers import PREFIX, RoundTripPolicy, Shielded, fastest_withdrawal, insertion_task
@@ -180,11 +180,8 @@ def _reason(error: Exception) -> str:
 
 
 def _round_trip(spec: str, config: TaskConfig, vibration: VibrationMap | None, classes: bool) -> Policy:
-    if spec in INSPECTION_PLANNERS:
-        return InspectionPlanner(config, **INSPECTION_PLANNERS[spec])
     if spec in PLANNERS:
-        names = ", ".join(INSPECTION_PLANNERS)
-        raise ValueError(f"policy = {spec!r} plans the insertion only; planners for --passes both: {names}")
+        raise ValueError(f"policy = {spec!r} plans insertions only: use passes = 'in'")
     file = Path(policy_file(spec.removeprefix(PREFIX)))
     if file.suffix == ".safetensors":
         from probe_agents.policies.bundle import load_bundle

@@ -5,7 +5,6 @@ largest sum of simulated and expected remaining reward is applied. Averages over
 tubes inferred from the measurements, remove information that a rig does not have.
 """
 
-from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from functools import lru_cache
@@ -21,10 +20,9 @@ from probe_env import Context
 from probe_env.arrays import BoolArray, FloatArray
 from probe_env.envs.episodes import Episodes
 from probe_env.envs.episodes.predicted import MEASURED
-from probe_env.envs.episodes.scoring import RoundTripScorer
 from probe_env.envs.task.config import TaskConfig
 from probe_env.envs.task.observations import in_si_units
-from probe_env.envs.task.rules import metre_reward, reward_terms, uninspected_weight
+from probe_env.envs.task.rules import metre_reward, uninspected_weight
 from probe_env.envs.task.scales import RF_FLOOR
 from probe_env.envs.vibration_map import CONTEXT, VibrationMap, stored_map
 from probe_env.physics.closed_forms import entrance_tension, sliding_tension
@@ -44,9 +42,7 @@ PLANNERS: Final[dict[str, dict[str, Any]]] = {
     "planner-averaged": {"blur": BLUR, "copies": 8},
     "planner-inferred": {"blur": BLUR, "copies": 8, "tube": "inferred"},
 }
-"""Names and settings of planners of insertions."""
-INSPECTION_PLANNERS: Final = {name: PLANNERS[name] for name in ("planner", "planner-averaged")}
-"""Those of both passes."""
+"""Names and settings."""
 
 
 class Memory(NamedTuple):
@@ -62,8 +58,12 @@ class Memory(NamedTuple):
 
 
 @dataclass
-class ModelPredictivePolicy(ABC):
+class InsertionPlanner:
     """Every ``every`` control periods, simulates ``candidates`` of feed and air for ``periods`` and applies the best.
+
+    With ``tube = "inferred"`` each copy of a candidate is in a tube of an ensemble, resampled for each decision by the
+    likelihood of the root tension and noise so far. The ensemble is uniform in the map's ranges of friction, contact
+    stiffness and drag. The helix diameter is observed.
 
     Attributes:
         config: the task.
@@ -73,6 +73,9 @@ class ModelPredictivePolicy(ABC):
         blur: standard deviation of the noise on the nodes' radial positions [m].
         copies: simulations of a candidate, each with other noise; the mean of their rewards counts.
         seed: seed of candidates, noise and inferred tubes.
+        vibration: vibration map of the remaining reward; default: the shipped one.
+        tube: "true" or "inferred".
+        rest: remaining reward: from the "map", or "nothing" (0).
     """
 
     config: TaskConfig
@@ -82,11 +85,19 @@ class ModelPredictivePolicy(ABC):
     blur: float = 0.0
     copies: int = 1
     seed: int = 0
+    vibration: VibrationMap = field(default_factory=stored_map)
+    tube: Literal["true", "inferred"] = "true"
+    rest: Literal["map", "nothing"] = "map"
 
     def __post_init__(self) -> None:
         for name in ("periods", "candidates", "every", "copies"):
             if not 1 <= getattr(self, name) <= 1000:
                 raise ValueError(f"{name} = {getattr(self, name)!r} is outside the accepted range 1 to 1000")
+
+    @property
+    def domain(self) -> Domain:
+        """Tubes of the map."""
+        return Domain.of_map(self.vibration)
 
     def predict(
         self,
@@ -99,9 +110,9 @@ class ModelPredictivePolicy(ABC):
         raise ValueError("a planner needs the simulator, not only observations: run it with `probe-env evaluate`")
 
     def describe(self) -> dict[str, Any]:
-        """JSON-ready description."""
+        """JSON-ready, with a hash of the map."""
         settings = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("config", "vibration")}
-        return {"policy": type(self).__name__, **settings}
+        return {"policy": type(self).__name__, **settings, "map": self.vibration.digest, "margin": MARGIN}
 
     def plan_actions(
         self, episodes: Episodes, which: Sequence[int], observation: npt.NDArray[np.float32], states: Sequence[Any]
@@ -138,57 +149,12 @@ class ModelPredictivePolicy(ABC):
                 move_to(tube, copies, alike)
             blur_states(copies, alike, self.blur, [*entropy, row % self.copies])
         rows = np.repeat(candidates, self.copies, axis=0).reshape(-1, 2)
-        worth = reward_of_holding(copies, rows, self.periods) + self._rest(copies, rows)
+        worth = reward_of_holding(copies, rows, self.periods) + self._rest(copies)
         best = worth.reshape(len(which), self.copies, -1).mean(axis=1).argmax(axis=1)
         return np.take_along_axis(candidates, best[:, None, None], axis=1)[:, 0]
 
     def _with_likelihood(self, observation: npt.NDArray[np.float32], memories: list[Memory]) -> list[Memory]:
         """Memories with the likelihood of the observations."""
-        return memories
-
-    def _tubes(self, tubes: list[Context], memories: Sequence[Memory]) -> list[list[Context]]:
-        """Tubes of the simulated copies of each episode, for the true tubes."""
-        return [[tube] * self.copies for tube in tubes]
-
-    @abstractmethod
-    def _candidates(
-        self, tubes: Sequence[Sequence[Context]], inserted: FloatArray, held: FloatArray, entropy: list[int]
-    ) -> FloatArray:
-        """(n, candidates, 2) feed [m/s] and air [m3/s] to try."""
-
-    @abstractmethod
-    def _rest(self, copies: Episodes, held: FloatArray) -> FloatArray:
-        """(N,) expected reward after the periods in which feed and air (N, 2) were constant."""
-
-
-@dataclass
-class InsertionPlanner(ModelPredictivePolicy):
-    """Model-predictive control of an insertion.
-
-    With ``tube = "inferred"`` each copy of a candidate is in a tube of an ensemble, resampled for each decision by the
-    likelihood of the root tension and noise so far. The ensemble is uniform in the map's ranges of friction, contact
-    stiffness and drag. The helix diameter is observed.
-
-    Attributes:
-        vibration: vibration map of the remaining reward; default: the shipped one.
-        tube: "true" or "inferred".
-        rest: remaining reward: from the "map", or "nothing" (0).
-    """
-
-    vibration: VibrationMap = field(default_factory=stored_map)
-    tube: Literal["true", "inferred"] = "true"
-    rest: Literal["map", "nothing"] = "map"
-
-    @property
-    def domain(self) -> Domain:
-        """Tubes of the map."""
-        return Domain.of_map(self.vibration)
-
-    def describe(self) -> dict[str, Any]:
-        """With a hash of the map."""
-        return super().describe() | {"map": self.vibration.digest, "margin": MARGIN}
-
-    def _with_likelihood(self, observation: npt.NDArray[np.float32], memories: list[Memory]) -> list[Memory]:
         if self.tube == "true":
             return memories
         measured = in_si_units(self.config, np.asarray(observation))
@@ -229,8 +195,9 @@ class InsertionPlanner(ModelPredictivePolicy):
         return tubes
 
     def _tubes(self, tubes: list[Context], memories: Sequence[Memory]) -> list[list[Context]]:
+        """Tubes of the simulated copies of each episode, for the true tubes."""
         if self.tube == "true":
-            return super()._tubes(tubes, memories)
+            return [[tube] * self.copies for tube in tubes]
         start, inferred = np.random.default_rng([self.seed, memories[0].time, 2]).random(), []
         places = (np.arange(self.copies) + start) / self.copies
         for memory, tube in zip(memories, tubes, strict=True):
@@ -242,12 +209,14 @@ class InsertionPlanner(ModelPredictivePolicy):
     def _candidates(
         self, tubes: Sequence[Sequence[Context]], inserted: FloatArray, held: FloatArray, entropy: list[int]
     ) -> FloatArray:
+        """(n, candidates, 2) feed [m/s] and air [m3/s] to try."""
         each, lengths = list(chain.from_iterable(tubes)), np.repeat(inserted, self.copies)
         best = np.column_stack(targets_on_map(each, lengths, self.config, self.vibration))
         suggested = best.reshape(len(tubes), self.copies, 2).mean(axis=1)
         return candidates_near(held, suggested, self.candidates, self.config, entropy, min_air(self.config))
 
-    def _rest(self, copies: Episodes, held: FloatArray) -> FloatArray:
+    def _rest(self, copies: Episodes) -> FloatArray:
+        """(N,) expected reward of the rest of the insertion."""
         inserted = copies.inserted_length
         rest = np.zeros(len(copies))
         if self.rest == "map":
@@ -256,65 +225,6 @@ class InsertionPlanner(ModelPredictivePolicy):
         # a slack cable will lose the drive, which the map does not include
         lost_drive = -uninspected_weight(self.config) * (copies.helix_length - inserted)
         return np.where(copies.running, np.where(is_slack(copies), lost_drive, rest), 0.0)
-
-
-@dataclass
-class InspectionPlanner(ModelPredictivePolicy):
-    """Model-predictive control of both passes.
-
-    The remaining reward assumes the candidate until the end of the present pass, then the fastest withdrawal with the
-    least air and without vibration; for a slack cable it is the cost of lost drive. There is no map of withdrawals: a
-    compressed probe hardly vibrates except after changes of its feed.
-
-    Raises:
-        ValueError: a setting is out of range, or the withdrawal is not scored.
-    """
-
-    periods: int = 6
-    candidates: int = 10
-    every: int = 3
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.config.scored_pass == "insertion":
-            raise ValueError(
-                "scored_pass = 'insertion': the withdrawal is not scored; use a planner with passes = 'in'"
-            )
-
-    def _candidates(
-        self, tubes: Sequence[Sequence[Context]], inserted: FloatArray, held: FloatArray, entropy: list[int]
-    ) -> FloatArray:
-        """Held setting, fastest feed with the held air, then in turn near the held one and fastest with random air.
-
-        The two passes need different settings, and the turn is too short for small steps.
-        """
-        config, count = self.config, self.candidates
-        fastest, (minimum, maximum) = config.feed_speeds[1], config.air_supply_rates
-        suggested = np.column_stack([np.full(len(held), fastest), held[:, 1]])
-        tried = candidates_near(held, suggested, count, config, entropy, minimum)
-        airs = np.random.default_rng([*entropy, count]).uniform(minimum, maximum, size=count)
-        actions = config.actions(np.full(count, fastest), airs).astype(np.float32)
-        tried[:, 3::2] = config.targets(actions)[3::2]
-        return tried
-
-    def _rest(self, copies: Episodes, held: FloatArray) -> FloatArray:
-        config, passes = copies.config, copies.scorer
-        assert isinstance(passes, RoundTripScorer)
-        inserted, length = copies.inserted_length, copies.helix_length
-        to_pass, shaken = passes.still_to_pass()
-        inserting, uninspected = passes.direction > 0.0, length - passes.reached
-        here = np.where(inserting, length - inserted, to_pass) / held[:, 0]
-        back = np.where(inserting, length - passes.start, 0.0) / config.feed_speeds[1]
-        air = held[:, 1] * here + config.air_supply_rates[0] * back
-        best, left = config.scored_pass == "best", np.where(inserting, length - passes.start, to_pass)
-        # the vibration of the insertion is already charged; a withdrawal without vibration refunds it
-        terms = reward_terms(
-            config, inspected=uninspected if best else left, squares=-shaken if best else np.zeros(len(left)),
-            seconds=here + back, air=air,
-        )  # fmt: skip
-        reward = sum(terms.values())
-        lost_drive = -uninspected_weight(config) * (uninspected + left)
-        return np.where(copies.running, np.where(is_slack(copies), lost_drive, reward), 0.0)
 
 
 def candidates_near(

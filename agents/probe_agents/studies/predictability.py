@@ -20,7 +20,7 @@ from scipy.stats import linregress
 
 from probe_agents.evaluation.statistics import Interval, mean_interval
 from probe_agents.evaluation.workers import HERE, Workers
-from probe_agents.policies.planner import ModelPredictivePolicy
+from probe_agents.policies.planner import InsertionPlanner
 from probe_agents.records.drawing import GREY, PALETTE, save
 from probe_agents.records.manifest import write_manifest
 from probe_agents.records.store import Store
@@ -43,7 +43,7 @@ MIN_SAMPLES: Final = 5
 """Samples in a window, below which it holds a jump and the growth is irregular."""
 UNKNOWN: Final = Interval(*(math.nan,) * 3)
 LENGTHS, FRICTIONS, AIRS = (10.0, 20.0, 30.0, 40.0, 50.0, 60.0), (0.1, 0.15, 0.25), (40.0, 63.0, 100.0)
-HORIZON: Final = ModelPredictivePolicy.periods * TaskConfig().period
+HORIZON: Final = InsertionPlanner.periods * TaskConfig().period
 """Time that the planner looks ahead [s]."""
 
 

@@ -238,16 +238,6 @@ class RoundTripScorer(Scorer):
         self.reached[k], self.withdrawn_to[k], self._since_turn[k] = start, np.inf, 0.0
         self._insertion[k] = np.zeros((math.ceil(helix_length / BIN) + 1, COLUMNS))  # a row a bin, sums over its length
 
-    def still_to_pass(self) -> tuple[FloatArray, FloatArray]:
-        """(N,) length [m] still to withdraw, and the sums of squares of insertion over it."""
-        metres = np.maximum(np.minimum(self.withdrawn_to, self.reached) - self.start, 0.0)
-        squares = np.zeros(len(metres))
-        for k, (low, length) in enumerate(zip(self.start.tolist(), metres.tolist(), strict=True)):
-            for bin_, piece in _bins(low, low + length):
-                inspected, sum_of_squares = self._insertion[k][bin_, :2]
-                squares[k] += piece * sum_of_squares / inspected if inspected > 0.0 else 0.0
-        return metres, squares
-
     def _detection(self) -> DetectionMetrics | RoundTripMetrics:
         return RoundTripMetrics(self.config.sensor, self.config.scored_pass)
 
