@@ -57,6 +57,21 @@ def test_verdicts_follow_the_rows():
         assert holds["no noticeable radial peak in the return from 2 s on: original"] == none
 
 
+@pytest.mark.parametrize(
+    ("rms", "verdict"),
+    [((1, 30, 60, 200, 300, 350), "yes"), ((1, 30, 200, 250, 300, 350), "earlier"), ((1, 2, 9, 40, 300, 350), "later")],
+)
+def test_sharpest_rise_is_that_of_linear_axes(rms, verdict):
+    """In the first case the ratio is greatest from 10 to 20 m."""
+    rows = [
+        {"case": f"l{length}", "member": k, "diverged_at_s": np.nan, "radial_rms_m": 1e-6 * value * (1.0 + k / 500)}
+        for length, value in zip(claims.GROWTH, rms, strict=True)
+        for k in range(4)
+    ]
+    holds = claims_of(pd.DataFrame(rows).assign(common_peak_hz=14.0, axial_peak_hz=14.0)).set_index("claim")["holds"]
+    assert holds["it rises sharply between 30 and 40 m"] == verdict
+
+
 def test_withdrawals_differ_in_direction_only():
     for case in filter(lambda case: case.withdrawn, claims.TRIPS):
         fed, back = NAMED[insertion_of(case.name)].load_scene(), case.load_scene()
