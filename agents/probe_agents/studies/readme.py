@@ -58,7 +58,7 @@ class Recipe(NamedTuple):
 RECIPES: Final = {
     "ppo": Recipe("PPO", {"n_steps": 32, "batch_size": 256}, 5, (50_000, 200_000)),
     "sac": Recipe("SAC", {}, 3, (50_000, 200_000)),
-    "sac-tuned": Recipe("SAC", {"gradient_steps": 16}, 3, (50_000, 200_000)),
+    "sac-tuned": Recipe("SAC", {"gradient_steps": 4}, 3, (50_000, 200_000), tuning=2),
 }
 """Name -> recipe. PPO: rollouts of 2,048 steps as in Stable-Baselines3; batches of 256 save time."""
 ENV: Final = "probe_env/IncrementalInsertion-v1"
