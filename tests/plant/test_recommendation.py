@@ -14,7 +14,7 @@ from probe_agents.plant.recommendation import expected_costs, optimal_schedule, 
 from probe_agents.plant.response import CHANNELS, Metres, stored_response
 from probe_agents.policies.cases import load_case
 from probe_agents.policies.catalogue import DATA
-from probe_agents.policies.on_map import MARGIN
+from probe_agents.policies.on_map import MARGIN, root_tensions
 from probe_agents.policies.plc_law import PlantData
 from probe_agents.records.tables import read_csv
 from probe_env import Context, Plant, Scene
@@ -176,6 +176,15 @@ def test_recommended_air_carries_the_probe_through_the_route():
     limited = {"assumptions": "study", "air": {"air_supply_rates": (0.008, 0.0145)}}
     hard = Plant.model_validate(limited | {"contact": rough, "route": level})
     assert "route.0: the probe stops with its tip 0.5 m" in str(recipe_of(hard))
+
+
+def test_the_example_plant_keeps_its_drive():
+    """At its most air and permitted feed, with the margin in all of 96 tubes."""
+    plant = Plant.from_toml(Path(__file__).parents[2] / "configs/tubes/example.toml")
+    config, lengths = plant.config, np.arange(plant.config.lost_drive_from, 45.5)
+    (feed, air), shape = config.feasible(config.permitted_feed, config.air_supply_rates[1])[0], len(lengths)
+    pulls = root_tensions(plant.contexts(96), config, lengths, np.full(shape, feed), np.full(shape, air))
+    assert pulls.min() > MARGIN * config.required_tension
 
 
 def test_air_is_safe_in_every_tube():
