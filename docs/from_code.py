@@ -76,7 +76,7 @@ def _kind(annotation: Any) -> str:
     above = re.search(r"Optional\[.*Annotated\[(\w+), .*Gt\(gt=(.+?)\)", str(annotation))
     if above:
         return f"`{above[1]}` above {above[2]}, or `None`"
-    return f"`{annotation}`".replace("typing.", "").replace("|", "or")
+    return f"`{re.sub(r'[A-Za-z_]+[.]', '', str(annotation))}`".replace("|", "or")
 
 
 def _short(value: Any) -> str:
