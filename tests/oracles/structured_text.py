@@ -13,9 +13,10 @@ TOKEN = re.compile(r"\s*(?:(\d+\.\d+|\d+)|([A-Za-z_]\w*)|(:=|<=|>=|<>|[-+*/();,<
 SECTIONS = ("VAR_INPUT", "VAR_OUTPUT", "VAR")
 TYPES = {"REAL": np.float32(0.0), "INT": 0, "BOOL": False}
 FUNCTIONS = {
-    "EXP": np.exp, "LN": np.log, "MAX": max, "MIN": min, "LIMIT": lambda low, x, high: min(max(x, low), high),
+    "EXP": np.exp, "SQRT": np.sqrt, "LN": np.log, "MAX": max, "MIN": min,
+    "LIMIT": lambda low, x, high: min(max(x, low), high),
 }  # fmt: skip
-OPERATORS = frozenset("+-*/<>(),")
+OPERATORS = frozenset("+-*/<>(),") | {">="}
 
 
 class FunctionBlock:

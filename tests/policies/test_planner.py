@@ -62,7 +62,7 @@ def test_candidates_of_the_planner_depend_on_time_only():
     ranges = ((0.01, config.feed_speeds), (5 / 3600, config.air_supply_rates))
 
     def drawn(rows, count, time=3):
-        return planning.candidates_near(held[rows], mapped[rows], count, config, [0, time], 0.0)
+        return planning.candidates_near(held[rows], mapped[rows], count, config, [0, time], np.zeros(len(rows)))
 
     tried = drawn([0, 1], 41)
     assert tried.shape == (2, 41, 2)

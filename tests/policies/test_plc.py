@@ -27,8 +27,8 @@ CONFIG = TaskConfig(scene=Scene()).full_observation  # the laws read friction by
 PLANT = PlantData.of(CONFIG)
 TRIMMED = read_constants().model_copy(update={"aim": 4e-5, "trim_time": 60.0})
 OTHER = {
-    "noise_average": 5.0, "fast_feed": 0.8, "fast_air": 0.2, "slow_air": 0.7, "max_shift": 0.3, "trim_average": 2.0,
-    "max_excess": 2.0, "max_deficit": 0.2, "max_decrease": 0.9, "max_increase": 0.1,
+    "noise_average": 5.0, "margin": 2.5, "fast_feed": 0.8, "fast_air": 0.2, "slow_air": 0.7, "max_shift": 0.3,
+    "trim_average": 2.0, "max_excess": 2.0, "max_deficit": 0.2, "max_decrease": 0.9, "max_increase": 0.1,
 }  # fmt: skip
 """Constants that have their defaults in the stored laws."""
 
@@ -58,9 +58,9 @@ def test_friction_is_that_of_steady_sliding():
     for friction in (0.1, 0.175, 0.25):
         tension = sliding_tension(np.full(50, friction), rows, CONFIG.scene)
         np.testing.assert_allclose(plc_law.friction_of(tension, rows, PLANT), friction, rtol=1e-6)
-    long = rows | {"inserted_length": np.full(50, 50.0)}
-    for tension, limit in zip((1e9, -5.0), plc_law.CREDIBLE, strict=True):
-        assert plc_law.friction_of(np.full(50, tension), long, PLANT) == pytest.approx(limit)
+    for tension, length, limit in zip((1e9, -5.0), (50.0, 5.0), plc_law.APPARENT, strict=True):
+        beyond = rows | {"inserted_length": np.full(50, length)}
+        assert plc_law.friction_of(np.full(50, tension), beyond, PLANT) == pytest.approx(limit)
     still = rows | {name: np.zeros(50) for name in ("air_supply_rate", "feed_speed", "inserted_length")}
     assert np.isfinite(plc_law.friction_of(np.ones(50), still, PLANT)).all()
 
@@ -70,10 +70,18 @@ def test_law_is_fast_before_the_onset_and_slow_after():
     lengths = np.linspace(5.0, 60.0, 111)
     rows, memory = measured(1e-5, lengths, 1.5, plc_law.FRICTION), np.zeros((111, 2))
     law.start(memory)
+    memory[:, 0] = plc_law.FRICTION
     feed, air = law.targets(rows, memory)
     fast = lengths < law.constants.onset_length
     assert (feed[fast] == CONFIG.feed_speeds[1]).all()
-    assert (air[fast] == PLANT.air_supply_rates[0]).all()
+    applied = {
+        "feed_speed": feed,
+        "air_supply_rate": air,
+        "inserted_length": lengths,
+        "helix_diameter": np.full(111, 1.5),
+    }
+    tension = sliding_tension(np.full(111, plc_law.FRICTION), applied, CONFIG.scene)
+    assert tension[fast] == pytest.approx(law.constants.margin * CONFIG.required_tension, rel=1e-6)
     assert (air[~fast] == CONFIG.air_supply_rates[1]).all()
     slow = law.constants.slow_feed * (lengths[~fast] / 30.0) ** -law.constants.slow_length
     np.testing.assert_allclose(feed[~fast], slow, rtol=1e-6)
@@ -100,7 +108,7 @@ def test_trimmed_feed_follows_its_time_constant():
     assert at_aim[100:] == pytest.approx(at_aim[100], rel=1e-3)
     feed, air = acted(PlcIntegral(CONFIG, Constants(shift=0.0)), measured(1e-3, np.full(200, 5.0)))
     assert (feed == CONFIG.feed_speeds[1]).all()  # before the onset
-    assert (air == PLANT.air_supply_rates[0]).all()
+    assert (air < 0.5 * CONFIG.air_supply_rates[1]).all()
 
 
 def test_many_act_as_one():
@@ -122,7 +130,16 @@ def test_structured_text_does_what_the_policy_does(trimmed, changed, max_air):
     config = CONFIG.model_copy(update={"air_supply_rates": (CONFIG.air_supply_rates[0], max_air / 3600.0)})
     law = (PlcIntegral if trimmed else PlcProportional)(config, TRIMMED.model_copy(update=changed))
     block = FunctionBlock(structured_text(law.constants, PlantData.of(config), trimmed))
-    plant = {"AIR_SPEED", "DRAG", "FLOAT_DIAMETER", "LEAST_FEED", "MOST_FEED", "LEAST_AIR", "MOST_AIR"}
+    plant = {
+        "AIR_SPEED",
+        "DRAG",
+        "FLOAT_DIAMETER",
+        "LEAST_FEED",
+        "MOST_FEED",
+        "LEAST_AIR",
+        "MOST_AIR",
+        "REQUIRED_TENSION",
+    }
     assert block.fixed == {name.upper() for name in Constants.model_fields if trimmed or name not in TRIM} | plant
     rows = measured(10.0 ** rng.uniform(-5.5, -3.5, count), np.linspace(5.0, 60.0, count), 1.4, 0.18)
     memory, trims, strong = np.zeros((1, law.memory)), [0.0], 0
@@ -154,12 +171,12 @@ def test_structured_text_and_table_of_the_law():
     assert list(tabulated.columns) == [
         "helix_diameter_m", "friction", "inserted_length_m", "feed_speed_m_per_s", "air_supply_m3_per_h",
     ]  # fmt: skip
-    assert len(tabulated) == 2 * 11 * 23
+    assert len(tabulated) == 2 * 18 * 23
     diameter, friction, length, feed, air = tabulated.to_numpy().T
     quiet = np.full(len(tabulated), np.log(constants.quiet))
     expected = plc_law.law_at(constants, PLANT, (length, friction, quiet, diameter))
     assert (feed, air / 3600.0) == (pytest.approx(expected[0], rel=1e-12), pytest.approx(expected[1], rel=1e-12))
-    assert set(air.round(6)) == {45.5, 130.0}
+    assert 30.0 <= air.min() < air.max() == pytest.approx(130.0)
 
 
 def test_structured_text_has_recipe_and_noise_scaling():

@@ -12,7 +12,7 @@ from probe_agents.plant.recommendation import is_misspecified, optimal_schedule,
 from probe_agents.plant.response import stored_response
 from probe_agents.policies import plc_law
 from probe_agents.policies.cases import EvaluationCase, load_case
-from probe_agents.policies.on_map import WORST
+from probe_agents.policies.on_map import WORST, min_air
 from probe_agents.policies.plc_law import SHORTEST, TRIM, Constants, PlantData, law_at
 from probe_agents.policies.policy import Domain, check_domains
 from probe_agents.records.atomic import write_text
@@ -25,7 +25,8 @@ from probe_env.schedule import Schedule
 RECIPE: Final = "linear between rows"
 RECIPE_HEADER: Final = ("length [m]", "feed [mm/s]", "air [m3/h]")
 TEMPLATE: Final = Path(__file__).parent / "data" / "feed-law.st.j2"
-TABLE_FRICTIONS: Final = tuple(round(0.08 + 0.02 * k, 2) for k in range(11))
+TABLE_FRICTIONS: Final = (*(round(0.08 + 0.02 * k, 2) for k in range(14)), 0.4, 0.5, 0.7, 1.0)
+"""As estimated: weight and expanding air count as friction."""
 TABLE_STEP: Final = 2.5
 """Step of the length in a table [m]."""
 DESCRIPTIONS: Final = {
@@ -44,6 +45,7 @@ DESCRIPTIONS: Final = {
     "quiet": ("m", "noise v at which L' = L"),
     "shift": ("", "L' = L (v / quiet)^shift"),
     "max_shift": ("", "limit of |ln(L' / L)|"),
+    "margin": ("", "root tension over the required one, with the least air"),
     "aim": ("m", "target of v beyond L0"),
     "trim_time": ("s", "d(ln u)/dt = ln(aim / v) / trim_time"),
     "trim_average": ("s", "time constant of the average of this v"),
@@ -62,6 +64,7 @@ PLANT_DATA: Final = {
     "MOST_FEED": "m/s",
     "LEAST_AIR": "m3/s",
     "MOST_AIR": "m3/s",
+    "REQUIRED_TENSION": "N, root tension below which the drive is lost",
 }
 
 
@@ -109,7 +112,8 @@ def structured_text(
     """
     from jinja2 import Environment, StrictUndefined
 
-    values = (plant.air_speed_per_supply, plant.drag, plant.float_diameter, *plant.feed_speeds, *plant.air_supply_rates)
+    values = [plant.air_speed_per_supply, plant.drag, plant.float_diameter, *plant.feed_speeds]
+    values += [*plant.air_supply_rates, plant.required_tension]
     entries = [(n.upper(), v, DESCRIPTIONS[n][0] or "-") for n, v in _values(constants, trimmed).items()]
     environment = Environment(
         trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True, undefined=StrictUndefined, autoescape=False
@@ -173,8 +177,8 @@ def write_law(
 
     Warns if the plant requires more tension than the most air gives in all tubes, or is outside the law's domain.
     """
-    least, most = plant.air_supply_rates
-    if least == most:
+    most = plant.air_supply_rates[1]
+    if min_air(case.config) == most:
         warnings.warn(
             f"required_tension = {case.config.required_tension:.3g} N: the most air, {3600.0 * most:.4g} m3/h, can lose"
             f" the drive in a helix of {WORST.helix_diameter:g} m with friction {WORST.friction:g}",

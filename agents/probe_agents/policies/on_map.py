@@ -68,14 +68,14 @@ def lacking(config: TaskConfig, length: FloatArray, tension: FloatArray, margin:
     return np.where(drive_counts(config, length), margin * config.required_tension, 0.0) - tension
 
 
-@lru_cache(maxsize=64)
-def min_air(config: TaskConfig) -> float:
-    """Smallest air supply of schedules for all tubes [m3/s]: it pulls enough in ``WORST`` at the fastest feed."""
+@lru_cache(maxsize=4096)
+def min_air(config: TaskConfig, tube: Context = WORST, margin: float = WORST_MARGIN) -> float:
+    """Smallest air supply [m3/s] that pulls enough in a tube at every length and the fastest feed; default: in all."""
     length = knots(config)
     air = np.linspace(*config.air_supply_rates, 201)
     pairs = np.tile(length, len(air)), np.full(len(air) * len(length), config.permitted_feed), air.repeat(len(length))
-    pull = root_tensions([WORST], config, *pairs)[0].reshape(len(air), -1)
-    enough = (lacking(config, length, pull, WORST_MARGIN) <= 0.0).all(axis=1)
+    pull = root_tensions([tube], config, *pairs)[0].reshape(len(air), -1)
+    enough = (lacking(config, length, pull, margin) <= 0.0).all(axis=1)
     return float(air[enough.argmax()] if enough.any() else air[-1])
 
 

@@ -213,7 +213,9 @@ class InsertionPlanner:
         each, lengths = list(chain.from_iterable(tubes)), np.repeat(inserted, self.copies)
         best = np.column_stack(targets_on_map(each, lengths, self.config, self.vibration))
         suggested = best.reshape(len(tubes), self.copies, 2).mean(axis=1)
-        return candidates_near(held, suggested, self.candidates, self.config, entropy, min_air(self.config))
+        needed = np.array([min_air(self.config, tube, MARGIN) for tube in each]).reshape(len(tubes), -1).max(axis=1)
+        least_air = np.minimum(needed, min_air(self.config))
+        return candidates_near(held, suggested, self.candidates, self.config, entropy, least_air)
 
     def _rest(self, copies: Episodes) -> FloatArray:
         """(N,) expected reward of the rest of the insertion."""
@@ -228,7 +230,7 @@ class InsertionPlanner:
 
 
 def candidates_near(
-    held: FloatArray, suggested: FloatArray, count: int, config: TaskConfig, entropy: list[int], least_air: float
+    held: FloatArray, suggested: FloatArray, count: int, config: TaskConfig, entropy: list[int], least_air: FloatArray
 ) -> FloatArray:
     """(n, count, 2) feed speeds [m/s] and air supplies [m3/s], rounded like the plant's devices.
 
@@ -240,7 +242,7 @@ def candidates_near(
         count: number of candidates, at least 1.
         config: task.
         entropy: seed of the generator.
-        least_air: least air of the random candidates [m3/s]: the copies do not show a drive that is lost later.
+        least_air: (n,) least air of the random candidates [m3/s]: the copies do not show a drive that is lost later.
     """
     rng = np.random.default_rng(entropy)
     tried = np.repeat(held[:, None], count, axis=1)

@@ -1,7 +1,8 @@
-"""Feedback laws for a PLC: fast feed and least air up to an onset length, then slow feed and most air.
+"""Feedback laws for a PLC: fast feed and little air up to an onset length, then slow feed and most air.
 
 The best schedules of the vibration map have this form. Onset and slow feed depend on the friction, estimated from the
-root tension, and on the helix diameter; measured noise changes the effective length.
+root tension, and on the helix diameter; measured noise changes the effective length. The least air keeps the root
+tension of steady sliding at a multiple of the required one, with this friction.
 
 ``PlcIntegral`` adds integral action: beyond the onset, the feed is trimmed until the noise equals a target. The feed
 decreases faster than it increases, since vibration costs more than time.
@@ -16,7 +17,6 @@ import numpy as np
 from pydantic import model_validator
 
 from probe_agents.policies.fixed import FixedPolicy, gain
-from probe_agents.policies.on_map import min_air
 from probe_agents.policies.policy import Domain, read_model
 from probe_env import Scene
 from probe_env.arrays import BoolArray, FloatArray
@@ -29,8 +29,12 @@ FRICTION: Final = 0.175
 DIAMETER: Final = 1.5
 LENGTH: Final = 30.0
 """Reference friction, helix diameter [m] and length [m] of the constants."""
+START_FRICTION: Final = 0.25
+"""Friction at the start of an insertion: high, so that the drive is not lost before it is measured."""
 CREDIBLE: Final = (0.05, 0.35)
-"""Range to which the friction estimate is clipped."""
+"""Range to which the friction is clipped for onset and slow feed."""
+APPARENT: Final = (0.05, 2.0)
+"""Range of the friction estimate: weight and expanding air, which the estimate lacks, count as friction."""
 SHORTEST: Final = 5.0
 """Shortest inserted length for the friction estimate [m]."""
 ITERATIONS: Final = 6
@@ -77,6 +81,8 @@ class Constants(Model):
     """Exponent s."""
     max_shift: Annotated[float, quantity(0.0, 5.0, "")] = 0.7
     """Limit of the logarithm of L' / L; the default is a factor of two."""
+    margin: Annotated[float, quantity(1.0, 10.0, "")] = 1.5
+    """Least ratio of the root tension to the required one, by which the least air is determined."""
     aim: Annotated[float, quantity(1e-6, 1e-3, "m")] = 3.5e-5
     """Target noise v_a of the integral action, as radial rms."""
     trim_time: Annotated[float, quantity(1.0, 10000.0, "s")] = 80.0
@@ -115,7 +121,9 @@ class PlantData(Model):
     feed_speeds: tuple[float, float]
     """Slowest feed, and fastest feed that the instrument permits [m/s]."""
     air_supply_rates: tuple[float, float]
-    """[m3/s]: least air that pulls enough in all tubes (``on_map.min_air``) and most air."""
+    """Least and most air [m3/s]."""
+    required_tension: float
+    """Root tension below which the drive is lost [N]."""
 
     @classmethod
     def of(cls, config: Any) -> Self:
@@ -126,7 +134,8 @@ class PlantData(Model):
             drag=drag_per_metre(scene),
             float_diameter=scene.probe.carrier_float_diameter,
             feed_speeds=(config.feed_speeds[0], config.permitted_feed),
-            air_supply_rates=(min_air(config), config.air_supply_rates[1]),
+            air_supply_rates=config.air_supply_rates,
+            required_tension=config.required_tension,
         )
 
 
@@ -151,9 +160,23 @@ def friction_of(tension: FloatArray, measured: dict[str, FloatArray], plant: Pla
     for _ in range(ITERATIONS):
         fallen = np.exp(-x)
         x = x - (x * fraction - 1.0 + fallen) / (fraction - fallen)
-    diameter = measured["helix_diameter"]
-    friction = x * 0.5 * diameter / length / (1.0 - plant.float_diameter / diameter)
-    return np.asarray(np.clip(friction, *CREDIBLE))
+    friction = x / _angle(length, measured["helix_diameter"], plant)
+    return np.asarray(np.clip(friction, *APPARENT))
+
+
+def _angle(length: FloatArray, diameter: FloatArray, plant: PlantData) -> FloatArray:
+    """Angle (n,) of the cable on the wall [rad]."""
+    return np.asarray(2.0 * length / diameter * (1.0 - plant.float_diameter / diameter))
+
+
+def least_air(
+    tension: float, length: FloatArray, friction: FloatArray, diameter: FloatArray, feed: FloatArray, plant: PlantData
+) -> FloatArray:
+    """Air (n,) [m3/s] for a root tension [N] of steady sliding, the inverse of ``friction_of``, within the range."""
+    length = np.maximum(length, SHORTEST)
+    x = friction * _angle(length, diameter, plant)
+    wind = np.sqrt(tension * x / (plant.drag * length * (1.0 - np.exp(-x))))
+    return np.asarray(np.clip((wind + feed) / plant.air_speed_per_supply, *plant.air_supply_rates))
 
 
 def law_at(
@@ -167,15 +190,17 @@ def law_at(
         averaged: length [m], friction, logarithm of the noise [m] and helix diameter [m], (n,) each.
     """
     c = constants
-    inserted, friction, noise, diameter = averaged[0], averaged[1] / FRICTION, averaged[2], averaged[3] / DIAMETER
+    inserted, noise, diameter = averaged[0], averaged[2], averaged[3] / DIAMETER
+    friction = np.clip(averaged[1], *CREDIBLE) / FRICTION
     shift = np.clip(c.shift * (noise - np.log(c.quiet)), -c.max_shift, c.max_shift)
     length = inserted * np.exp(shift)
     onset = c.onset_length * friction**-c.onset_friction * diameter**c.onset_diameter
     slow = c.slow_feed * (np.maximum(length, 0.1) / LENGTH) ** -c.slow_length * friction**-c.slow_friction
     slow = np.clip(slow * diameter**c.slow_diameter, *plant.feed_speeds)
-    past, (least, most) = length >= onset, plant.air_supply_rates
-    air = np.where(past, c.slow_air, c.fast_air)
-    return np.where(past, slow, c.fast_feed * plant.feed_speeds[1]), (1.0 - air) * least + air * most, past
+    past = length >= onset
+    feed, air = np.where(past, slow, c.fast_feed * plant.feed_speeds[1]), np.where(past, c.slow_air, c.fast_air)
+    least = least_air(c.margin * plant.required_tension, inserted, averaged[1], averaged[3], feed, plant)
+    return feed, (1.0 - air) * least + air * plant.air_supply_rates[1], past
 
 
 @dataclass
@@ -196,8 +221,8 @@ class PlcProportional(FixedPolicy):
         return Domain.of_map(stored_map())
 
     def start(self, memory: FloatArray) -> None:
-        """Memory: reference friction and reference noise."""
-        memory[:] = FRICTION, np.log(self.constants.quiet)
+        """Memory: the start of the friction and reference noise."""
+        memory[:] = START_FRICTION, np.log(self.constants.quiet)
 
     def targets(self, measured: dict[str, FloatArray], memory: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Feed and air from length, tension, noise and helix diameter."""

@@ -334,14 +334,14 @@ SEARCH_RANGES: Final[dict[str, tuple[float, float]]] = {
     "average": (3.0, 40.0), "noise_average": (3.0, 40.0), "fast_feed": (0.5, 1.2), "fast_air": (-0.3, 1.0),
     "slow_air": (0.0, 1.3), "onset_length": (10.0, 60.0), "onset_friction": (0.0, 3.0), "onset_diameter": (0.0, 3.0),
     "slow_feed": (0.05, 0.4), "slow_length": (0.0, 2.0), "slow_friction": (0.0, 2.0), "slow_diameter": (0.0, 2.0),
-    "quiet": (1e-6, 2e-4), "shift": (0.0, 0.6), "max_shift": (0.0, 1.5), "aim": (1e-5, 1e-4),
+    "quiet": (1e-6, 2e-4), "shift": (0.0, 0.6), "max_shift": (0.0, 1.5), "margin": (1.1, 3.0), "aim": (1e-5, 1e-4),
     "trim_time": (20.0, 320.0), "trim_average": (1.0, 16.0), "max_excess": (0.2, 4.0), "max_deficit": (0.1, 2.0),
     "max_decrease": (0.0, 1.5), "max_increase": (0.0, 1.5),
 }  # fmt: skip
 """Search range of each constant, clipped to its accepted range: a bound that is searched lies inside."""
 GEOMETRIC: Final = (
-    "average", "noise_average", "onset_length", "slow_feed", "quiet", "aim", "trim_time", "trim_average", "max_excess",
-    "max_deficit",
+    "average", "noise_average", "onset_length", "slow_feed", "quiet", "margin", "aim", "trim_time", "trim_average",
+    "max_excess", "max_deficit",
 )  # fmt: skip
 """Constants that are searched on a logarithmic scale."""
 LAWS: Final = 16
@@ -353,7 +353,7 @@ FINALISTS: Final = 5
 
 
 def constants_at(x: FloatArray) -> Constants:
-    """Constants of a point (22,) in the unit cube, with four digits."""
+    """Constants of a point (23,) in the unit cube, with four digits."""
     values = {}
     for fraction, (name, range_) in zip(x, SEARCH_RANGES.items(), strict=True):
         value = float((geometric_at if name in GEOMETRIC else value_at)(fraction, range_))
