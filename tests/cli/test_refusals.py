@@ -69,7 +69,7 @@ REFUSED = [
     ("recommend --tube nowhere.toml", "no such file: nowhere.toml"),
     ("recommend --find a50=20", "find = 'a50=20' is not a90=PERCENT"),
     ("recommend --find a90=20 --no-simulated", "find needs the simulation"),
-    ("recommend --find a90=20 --policy law.json", "policy = 'law.json': a law follows from the reward"),
+    ("recommend --find a90=20 --policy law.json", "policy = 'law.json': there is no law for a target"),
     ("recommend --find a90=20 --fidelity surrogate", "fidelity = 'surrogate' has no signal"),
     ("recommend --find a90=20 --tube both.toml", "task.passes = 'both': --find is for the insertion alone"),
     ("study robustnes", "robustness"),

@@ -6,8 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from probe_agents.cli import main
+from probe_agents.evaluation.statistics import MAX_SECOND
 from probe_agents.plant import recommendation
 from probe_agents.plant.plc_export import recipe_of
 from probe_agents.plant.recommendation import expected_costs, optimal_schedule, root_compression, safe_air
@@ -18,7 +20,7 @@ from probe_agents.policies.on_map import MARGIN, root_tensions
 from probe_agents.policies.plc_law import PlantData
 from probe_agents.records.tables import read_csv
 from probe_env import Context, Plant, Scene
-from probe_env.envs.plants import FeedDevice, Supply, Tubes
+from probe_env.envs.plants import Bundle, FeedDevice, Supply, Tubes
 from probe_env.envs.vibration_map import feeds
 from probe_env.physics.closed_forms import buckling_load
 from probe_env.scene import Probe
@@ -91,6 +93,36 @@ def test_recommended_schedule_beats_shipped_and_near_ones():
         optimal_schedule([Context(friction=mu)], RESPONSE, config).schedule.at(40.0)[0] for mu in (0.08, 0.25)
     )
     assert rough < 0.7 * slippery
+
+
+def test_search_by_hours_finds_less_than_the_search_by_reward():
+    """Total times by their definition, from the response: (time and what is added) (1 + fraction of second passes).
+
+    The more a pass costs, the fewer second passes; half of the tubes at most, as in the ranking.
+    """
+    config = PLANT.config
+    column = CHANNELS.index("rf_noise_rms")
+
+    def total(schedule, added):
+        lengths, spacing = np.array(schedule.position), np.array([1.25, *[2.5] * 15, 1.25])
+        metres, quiet = Metres(lengths, *schedule.at(lengths), {}), []
+        for tube in TUBES:
+            scene = config.scene.model_copy(update={"tube": {"helix_diameter": tube.helix_diameter}})
+            row = [[tube.friction, tube.contact_stiffness, scene.air.drag_coefficient, scene.probe.damping_time]]
+            mean, spread = (values[0, :, column] for values in RESPONSE.predict(np.array(row), metres, scene))
+            quiet.append(np.prod(norm.cdf((np.log10(config.limit) - mean) / spread) ** spacing))
+        return (added + (spacing / metres.feed).sum()) * (2.0 - np.mean(quiet))
+
+    by_reward = optimal_schedule(TUBES, RESPONSE, config)
+    assert np.isnan(by_reward.total)
+    fractions = []
+    for setup_time in (0.0, 3000.0):
+        bundle = Bundle(tubes=9, setup_time=setup_time, withdrawal_time=100.0)
+        optimum = optimal_schedule(TUBES, RESPONSE, config, bundle=bundle)
+        assert optimum.total == pytest.approx(total(optimum.schedule, setup_time + 100.0), rel=1e-6)
+        assert optimum.total < total(by_reward.schedule, setup_time + 100.0)
+        fractions.append(optimum.again)
+    assert MAX_SECOND > fractions[0] > fractions[1]
 
 
 def test_interval_of_the_expected_reward():
@@ -259,7 +291,7 @@ def test_recommendation_without_simulation(written, capsys):
     assert sorted(map(str, Path().iterdir())) == ["my.csv", "my.json", "tube.toml"]
     printed = capsys.readouterr().out
     interval = "90 % of 96 samples: {expected_reward_low:.1f} to {expected_reward_high:.1f})".format(**record)
-    assert f"expected reward {record['expected_reward']:.1f} ({interval}; drive safe" in printed
+    assert f"expected reward {record['expected_reward']:.1f} ({interval}; searched by reward; drive safe" in printed
     assert "withdrawal" not in printed
     Path("tube.toml").write_text(TUBE + '[task]\npasses = "both"\n')
     assert main(arguments) == 0

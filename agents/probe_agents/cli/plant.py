@@ -143,7 +143,7 @@ class Calibrate:
 
 @dataclass(frozen=True)
 class Recommend:
-    """Recommend the schedule with the best expected reward for your plant, and simulate it with others.
+    """Recommend the schedule with the least hours, or best reward, for your plant, and simulate it with others.
 
     With --find it is the fastest schedule that still finds flaws of a given depth.
 
@@ -184,7 +184,7 @@ class Recommend:
         target = None if self.find is None else a90_target(self.find)
         if target is not None and self.policy:
             raise ValueError(
-                f"policy = {str(self.policy)!r}: a law follows from the reward: leave out --find or --policy"
+                f"policy = {str(self.policy)!r}: there is no law for a target: leave out --find or --policy"
             )
         if target is not None and not self.simulated:
             raise ValueError("find needs the simulation: remove --no-simulated")

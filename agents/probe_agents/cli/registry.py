@@ -22,7 +22,7 @@ GROUPS: Final = {
     "Your plant": {
         "log": ("plant:ReadLog", "read a rig's log and write it as a schedule"),
         "calibrate": ("plant:Calibrate", "estimate friction and other unknowns from logs"),
-        "recommend": ("plant:Recommend", "schedule with the best expected reward for your plant"),
+        "recommend": ("plant:Recommend", "schedule with the least hours or best reward for your plant"),
         "plc": ("plant:Plc", "for a PLC: recommended schedule and feedback law"),
         "app": ("plant:App", "edit, run and compare schedules in the browser"),
     },

@@ -75,7 +75,8 @@ def recipe_of(plant: Plant | None) -> Schedule | str:
     case = load_case(plant, "train")
     try:
         start_air = route_air(plant, case.contexts)
-        return optimal_schedule(case.contexts, stored_response(), case.config, start_air).schedule
+        bundle = plant.bundle_for(case.config) if plant else None
+        return optimal_schedule(case.contexts, stored_response(), case.config, start_air, bundle).schedule
     except ValueError as error:
         return str(error)
 

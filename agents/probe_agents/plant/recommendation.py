@@ -1,9 +1,10 @@
-"""Recommended schedules, feedback laws and safe air: least expected cost over samples of a plant's unknowns.
+"""Recommended schedules, feedback laws and safe air: least expected hours or cost over samples of a plant's unknowns.
 
 Feed and air at every few metres follow from dynamic programming over the cost per metre. A cost of changes makes the
 schedule smooth; settings with too little tension in too many samples are excluded.
 """
 
+import itertools
 import math
 import warnings
 from bisect import bisect_right
@@ -19,6 +20,7 @@ from scipy.special import ndtr
 
 from probe_agents.evaluation.advice import Rows
 from probe_agents.evaluation.run import evaluate_plan, plan_of
+from probe_agents.evaluation.statistics import MAX_SECOND
 from probe_agents.evaluation.workers import HERE, Workers
 from probe_agents.plant.prior import UNKNOWNS
 from probe_agents.plant.response import CHANNELS, Metres, Response
@@ -33,6 +35,7 @@ from probe_agents.records.quantities import HOUR
 from probe_agents.terminal.tables import print_line, print_table
 from probe_env import Context, Plant, Scene
 from probe_env.arrays import BoolArray, FloatArray
+from probe_env.envs.plants import Bundle
 from probe_env.envs.task.config import TaskConfig
 from probe_env.envs.task.rules import drive_counts, metre_reward, slack
 from probe_env.envs.task.scales import fraction_between
@@ -49,6 +52,10 @@ FRICTIONS: Final = tuple(round(0.06 + STEP * k, 2) for k in range(15))
 """Frictions of the rows of a law, up to 0.34."""
 DRAWS_PER_ROW: Final = 16
 """Samples of one helix diameter for a row of a law."""
+SPEED_WEIGHTS: Final = (0.0, *np.geomspace(0.03, 3.0, 6).tolist())
+"""Costs of a second per metre, added to those of the reward in a search by time or hours."""
+LIMIT_WEIGHTS: Final = (0.0, *np.geomspace(1.0, 1e4, 9).tolist())
+"""Costs of a metre that is surely above the vibration limit, added likewise."""
 CHANGE_WEIGHT: Final = 0.5
 """Cost of a change of the feed by a factor of e, or of the air over its range, between two points."""
 CONFIDENCE: Final = 0.95
@@ -64,12 +71,18 @@ BASELINES: Final = ("best-schedule", "tension-scheduled")
 
 
 class Optimum(NamedTuple):
-    """A schedule over inserted length, and its expected result."""
+    """A schedule over inserted length, and its expected result.
+
+    ``total`` is the expected time of a tube with its second pass, and of a bundle also with setup and withdrawal [s];
+    ``again`` the expected fraction of tubes with a second pass. NaN if the schedule was searched by reward.
+    """
 
     schedule: Schedule
     reward: float  # mean expected reward of an insertion
     interval: tuple[float, float]  # quantiles INTERVAL of the expected reward over the samples
     tension: float  # root tension that CONFIDENCE of the samples exceed where lost drive is scored [N]
+    total: float = math.nan
+    again: float = math.nan
 
 
 @dataclass(frozen=True)
@@ -127,21 +140,27 @@ def recommend(
             " probe-env study best-round-trip"
         )
     start_air = route_air(plant, case.contexts)
-    optimum = optimal_schedule(case.contexts, response, case.config, start_air)
+    bundle = plant.bundle_for(case.config) if plant else None
+    optimum = optimal_schedule(case.contexts, response, case.config, start_air, bundle)
     write_atomically(output, optimum.schedule.to_csv())
     low, high = optimum.interval
     figures = {"expected_reward": optimum.reward, "expected_reward_low": low, "expected_reward_high": high}
+    goal = "searched by reward"
+    if math.isfinite(optimum.total):
+        figures |= {"expected_total_time_s": optimum.total, "expected_second_pass_share": optimum.again}
+        total = f"{bundle.tubes * optimum.total / HOUR:.3g} h for the bundle" if bundle else f"{optimum.total:.0f} s"
+        goal = f"with second passes {total}, these in {optimum.again:.0%} of the tubes"
     figures["least_root_tension_n"] = optimum.tension
     write_description(output, plant, len(case.contexts), figures)
     named = [f"{NAME}={output}"]
     if law:
-        feedback = optimal_law(case.contexts, response, case.config, start_air)
+        feedback = optimal_law(case.contexts, response, case.config, start_air, bundle)
         write_atomically(law, feedback.model_dump_json(indent=1))
         named.append(f"{LAW}={law}")
     seconds = np.trapezoid(1.0 / np.array(optimum.schedule.feed_speed), optimum.schedule.position)
     print_line(
         f"{output}: in your tubes about {seconds:.0f} s, expected reward {optimum.reward:.1f}"
-        f" (90 % of {len(case.contexts)} samples: {low:.1f} to {high:.1f}); drive safe: root tension above"
+        f" (90 % of {len(case.contexts)} samples: {low:.1f} to {high:.1f}); {goal}; drive safe: root tension above"
         f" {optimum.tension:.2g} N in {CONFIDENCE:.0%}"
     )
     print_start_air(start_air, case.config)
@@ -220,25 +239,49 @@ def route_air(plant: Plant | None, tubes: Sequence[Context]) -> float:
 
 
 def optimal_schedule(
-    tubes: Sequence[Context], response: Response, config: TaskConfig, start_air: float = 0.0
+    tubes: Sequence[Context],
+    response: Response,
+    config: TaskConfig,
+    start_air: float = 0.0,
+    bundle: Bundle | None = None,
 ) -> Optimum:
-    """The schedule with the best mean expected reward over equally likely tubes.
+    """The schedule with the least expected total time, or without bundle and instrument the best mean expected reward.
+
+    The total time is that of ``with_goal``, among schedules that need a second pass in at most ``MAX_SECOND`` of the
+    tubes, if there are any. A tube needs one unless every metre is within the vibration limit; metres are taken for
+    independent. Candidates are the cheapest paths with weights on time and on the limit in addition to the reward's.
 
     Args:
-        tubes: samples of the plant.
+        tubes: samples of the plant, equally likely.
         response: expected measurements.
         config: the task.
         start_air: least air [m3/s] at the lengths at which lost drive is not scored yet, see ``route_air``.
+        bundle: with its withdrawal as a time, see ``Plant.bundle_for``.
     """
     if config.vibration_measure not in MEASURES:
         problem = f"task.vibration_measure = {config.vibration_measure!r}"
         raise ValueError(f"{problem}: recommendations support {' and '.join(MEASURES)}")
     settings = settings_of(tubes, config, start_air)
     costs = expected_costs(tubes, response, config, settings.metres).reshape(-1, *settings.tension.shape)
-    path = settings.cheapest(costs.mean(axis=0), CHANGE_WEIGHT)
+    by_reward, total, again = costs.mean(axis=0), math.nan, math.nan
+    path = settings.cheapest(by_reward, CHANGE_WEIGHT)
+    if bundle or config.instrument:
+        added = bundle.setup_time + (bundle.withdrawal_time or 0.0) if bundle else 0.0
+        levels = vibrations(tubes, response, config, settings.metres)
+        above = np.array([ndtr(louder / spread) for louder, spread in levels]).reshape(costs.shape)
+        found: list[tuple[float, float, float, list[int]]] = []
+        for speed, limit in itertools.product(SPEED_WEIGHTS, LIMIT_WEIGHTS):
+            cost = by_reward + speed / settings.feed + limit * above.mean(axis=0)
+            tried = settings.cheapest(cost, CHANGE_WEIGHT)
+            within = (1.0 - above[:, range(len(tried)), tried]) ** settings.spacing
+            second = 1.0 - float(within.prod(axis=1).mean())
+            time = added + float((settings.spacing / settings.feed[tried]).sum())
+            found.append((max(second, MAX_SECOND), (1.0 + second) * time, second, tried))
+        _, total, again, path = min(found)
     rewards = metre_reward(config, costs[:, range(len(path)), path]) @ settings.spacing
     low, high = np.quantile(rewards, INTERVAL)
-    return Optimum(settings.schedule(path), float(rewards.mean()), (low, high), settings.min_tension(path, config))
+    tension = settings.min_tension(path, config)
+    return Optimum(settings.schedule(path), float(rewards.mean()), (low, high), tension, total, again)
 
 
 class Settings(NamedTuple):
@@ -303,8 +346,14 @@ def settings_of(tubes: Sequence[Context], config: TaskConfig, start_air: float =
     return settings._replace(tension=tension, excluded=too_slack)
 
 
-def optimal_law(tubes: Sequence[Context], response: Response, config: TaskConfig, start_air: float = 0.0) -> Law:
-    """A feedback law: the recommended schedule for each of ``FRICTIONS`` in the range of the tubes; same errors."""
+def optimal_law(
+    tubes: Sequence[Context],
+    response: Response,
+    config: TaskConfig,
+    start_air: float = 0.0,
+    bundle: Bundle | None = None,
+) -> Law:
+    """A feedback law: ``optimal_schedule`` for each of ``FRICTIONS`` in the range of the tubes; same errors."""
     values = {name: [getattr(tube, name) for tube in tubes] for name in Context.model_fields}
     ranges = {name: (min(v), max(v)) for name, v in values.items()}
     minimum, maximum = ranges["friction"]
@@ -314,7 +363,8 @@ def optimal_law(tubes: Sequence[Context], response: Response, config: TaskConfig
     for diameter in dict.fromkeys(tube.helix_diameter for tube in tubes):
         samples = [tube for tube in tubes if tube.helix_diameter == diameter][:DRAWS_PER_ROW]
         contexts_by_friction = ([tube.model_copy(update={"friction": mu}) for tube in samples] for mu in inside)
-        rows = [optimal_schedule(contexts, response, config, start_air).schedule for contexts in contexts_by_friction]
+        optima = (optimal_schedule(contexts, response, config, start_air, bundle) for contexts in contexts_by_friction)
+        rows = [optimum.schedule for optimum in optima]
         lengths = rows[0].position
         columns = {name: tuple(getattr(row, name) for row in rows) for name in ("feed_speed", "air_supply_rate")}
         tables.append(OfDiameter(helix_diameter=diameter, **columns))
