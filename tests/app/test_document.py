@@ -66,6 +66,24 @@ def test_every_screen_is_built_for_an_own_tube(app):
     assert page.session.tube.plant.tube.helix_length == 30.0
 
 
+def test_an_empty_field_shows_the_value_of_the_calibration(app, page, tmp_path):
+    """Its quantiles 0.05 and 0.95; the list of tubes names what is open."""
+    draws = {"friction": np.linspace(0.1, 0.2, 101).tolist()}
+    (tmp_path / "c.json").write_text(json.dumps({"misspecified": False, "draws": draws}))
+    (tmp_path / "mine.toml").write_text('posterior = "c.json"\n')
+    friction, names = page.tube.inputs["contact.friction"], [page.tube.shipped.value]
+    study = friction.placeholder
+    for name in (str(tmp_path / "mine.toml"), "example"):
+        page.tube.open.value = name
+        names.append(page.tube.shipped.value)
+        if name != "example":
+            assert (friction.value, friction.placeholder) == ("", "0.105 to 0.195")
+    assert names == ["study tubes", "your tube", "example"]
+    page.tube.shipped.value = "study tubes"
+    assert friction.placeholder == study
+    assert page.session.tube.is_study
+
+
 def test_updates_wait_until_the_browser_has_drawn_the_last(app, page, monkeypatch):
     """Changes meanwhile are in the next one; it waits for ``PATIENCE`` at most."""
     updates, problems = [], []

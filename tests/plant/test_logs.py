@@ -136,6 +136,8 @@ def test_heads():
     expected = {q.column: (q.name, q.unit) for q in QUANTITIES.values() if "s2" not in q.column} | {
         "Einschubgeschwindigkeit [m/min]": ("feed_speed", "m/min"),
         "FEED SPEED (mm/s)": ("feed_speed", "mm/s"),
+        "Pay-out (ft)": ("inserted_length", "ft"),
+        "Druckluft [l/min]": ("air_supply", "l/min"),
         "Luft-Volumenstrom": (None, ""),
         "Weg in mm": ("inserted_length", "mm"),
         "Zeitstempel": ("time", ""),

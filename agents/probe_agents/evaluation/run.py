@@ -13,7 +13,7 @@ from probe_agents.evaluation.folder import EPISODE_RECORDS, ReportSettings, is_e
 from probe_agents.evaluation.kpis import SCORED_PASSES, displayed_kpis, goal_of, heading
 from probe_agents.evaluation.plan import Plan, run_plan
 from probe_agents.evaluation.repeat import verdict_text
-from probe_agents.evaluation.report import ended, oracle_policies, verdicts
+from probe_agents.evaluation.report import FEW_TUBES, ended, oracle_policies, verdicts
 from probe_agents.evaluation.report import write_report as write_report
 from probe_agents.evaluation.statistics import Interval, method_and_seed
 from probe_agents.evaluation.workers import HERE, Workers
@@ -182,7 +182,9 @@ def print_summary(table: pd.DataFrame, against: str) -> None:
         figures = part.set_index("kpi")[["mean", "low", "high"]]
         rows.append([str(policy), *(Interval(*figures.loc[kpi]).text(label[1]) for kpi, label in labels.items())])
     header = ("policy", *map(heading, labels.values()))
-    title = "Means with 95 % intervals over the contexts" if table["context"].nunique() > 1 else "Means in one tube"
+    tubes = table["context"].nunique()
+    title = f"Means over {tubes} tubes with 95 % intervals{', too few for exact ones' if tubes < FEW_TUBES else ''}"
+    title = title if tubes > 1 else "Means in one tube"
     print_table(title, header, rows)
     for name, row in statistics.endings(table).iterrows():
         print(f"{name}: {ended(row)}")

@@ -257,7 +257,7 @@ def _header(path: Path, source: Source, options: Sequence[ColumnOption]) -> _Hea
         return header.separator != " ", len(header.cells) > is_text, number, header.first - header.end
 
     best = max(headers, key=words, default=head)
-    hint = f"declare them: --columns '{unknown_head(best.cells)}=QUANTITY[UNIT]', with QUANTITY one of "
+    hint = f"declare each by --columns '{unknown_head(best.cells)}=QUANTITY[UNIT]', with QUANTITY one of "
     hint += ", ".join(NAMES)
     if best.cells and not words(best)[2]:
         hint = "is the header missing? Write one above the rows, like 'time [s]', 'length [m]', 'air [m3/h]'"

@@ -57,14 +57,14 @@ NAMES: Final = (*(name for name in QUANTITIES if name not in RETURN), DATE, FRAC
 """Names accepted by ``--columns``."""
 _HEADS: Final = {
     "time": "t, timestamp, time stamp, t stamp, datetime, date time, date&time, elapsed time, zeit, zeitstempel,"
-    " uhrzeit, zeitpunkt, datum uhrzeit, messzeit, x value, time time",
+    " uhrzeit, zeitpunkt, datum uhrzeit, messzeit, x value, time time, clock, clock time",
     "inserted_length": "insertion length, length, position, encoder, encoder position, länge, laenge, weg, weggeber,"
-    " drehgeber, eingeschobene länge, einschublänge, einschublaenge, einfahrlänge",
+    " drehgeber, eingeschobene länge, einschublänge, einschublaenge, einfahrlänge, pay out, payout",
     "feed_speed": "feed, feed rate, speed, velocity, vorschub, vorschubgeschwindigkeit, geschwindigkeit,"
-    " einschubgeschwindigkeit",
+    " einschubgeschwindigkeit, haspelgeschwindigkeit, reel speed",
     "air_supply": "air supply rate, air, air flow, airflow, flow, flow rate, luft, luftmenge, luftstrom, luftzufuhr,"
-    " volumenstrom, luftvolumenstrom",
-    "root_tension": "tension, cable tension, force, load cell, kraft, zugkraft, kabelzug, kabelzugkraft",
+    " volumenstrom, luftvolumenstrom, druckluft, compressed air",
+    "root_tension": "tension, cable tension, force, load cell, kraft, zugkraft, kabelzug, kabelzugkraft, cable pull",
     "radial_acceleration_rms": "radial acceleration, acceleration radial, radialbeschleunigung, beschleunigung radial",
     "axial_acceleration_rms": "axial acceleration, acceleration axial, axialbeschleunigung, beschleunigung axial",
     "rf_noise_rms": "rf noise, noise, eddy current noise, rauschen, hf rauschen, signalrauschen, wirbelstromrauschen",

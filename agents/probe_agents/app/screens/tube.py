@@ -19,10 +19,10 @@ from probe_env import Plant
 TITLES: Final = {"contact": "Walls", "feed": "Feed device"}
 FOLDED: Final = {"sensor": "the sensor model", "task": "limits, weights and sensors of the task"}
 """Table that is hidden at first -> its contents."""
-STUDY: Final = "study tubes"
+STUDY, OPENED = "study tubes", "your tube"
 INTRO: Final = (
-    "<h2>Tube and probe</h2><p class='quiet'>An empty field has the value of the study. Runs and predictions"
-    " use this tube.</p>"
+    "<h2>Tube and probe</h2><p class='quiet'>An empty field has its grey value, of the study or the calibration. Runs"
+    " and predictions use this tube.</p>"
 )
 
 
@@ -36,7 +36,7 @@ class TubeScreen(ui.Screen):
         self.inputs: dict[str, Any] = {}
         self.errors: dict[str, ui.Text] = {}
         self._draw_section, section = _section_drawing()
-        choice = {"options": [STUDY, *shipped_names("tubes")], "value": STUDY}
+        choice = {"options": [STUDY, OPENED, *shipped_names("tubes")], "value": STUDY}
         self.shipped = ui.control(models.Select, "start with", self.guarded(self._select), 160, **choice)
         self.open = ui.control(models.TextInput, "open a tube file", self.guarded(self._open), placeholder="mine.toml")
         self.save = ui.SaveAs(self, self._save, placeholder="mine.toml")
@@ -57,12 +57,21 @@ class TubeScreen(ui.Screen):
 
     def fill(self) -> None:
         """Show the contents of the tube file in the fields and drawings."""
-        self._busy = True
+        self._busy, tube = True, self.session.tube
+        name = tube.path.stem if tube.path else ""
+        self.shipped.value = STUDY if tube.is_study else name if name in self.shipped.options else OPENED
+        draws = tube.plant.posterior.draws if tube.plant.posterior else {}
         for field in (field for fields in tube_fields().values() for field in fields):
-            text = self.session.tube.text(field)
+            text = tube.text(field)
+            values = draws.get(field.name, draws.get(f"{field.table}_{field.name}"))
+            if field.kind != "choice":
+                grey = field.default or "none"
+                if values is not None:
+                    grey = "{:.3g} to {:.3g}".format(*field.factor * np.quantile(values, (0.05, 0.95)))
+                self.inputs[field.path].placeholder = grey
             self.inputs[field.path].value = text or (field.default if field.kind == "choice" else "")
             self.errors[field.path].text = ""
-        self.calibration.value = self.session.tube.posterior
+        self.calibration.value = tube.posterior
         self._busy = False
         self._draw()
 
@@ -81,7 +90,7 @@ class TubeScreen(ui.Screen):
         if field.kind == "choice":
             kind, options["options"] = models.Select, list(field.choices)
         else:
-            kind, options["placeholder"] = models.TextInput, field.default or "none"
+            kind = models.TextInput
         widget = ui.control(kind, field.title, lambda: self._edited(field), **options)
         self.inputs[field.path], self.errors[field.path] = widget, ui.Text()
         return ui.column(widget, self.errors[field.path])
@@ -101,6 +110,8 @@ class TubeScreen(ui.Screen):
         self._changed()
 
     def _select(self) -> None:
+        if self._busy or self.shipped.value == OPENED:
+            return
         if self.shipped.value == STUDY:
             self.session.tube.close()
         else:
