@@ -75,9 +75,10 @@ quick: setup
 	$(if $(ROOMS),$(PYTEST) -m "not slow" $(ROOMS),@echo "no tests of changed rooms")
 
 # other versions of Python; tests that need torch or an agent library are skipped there
-PYTHONS ?= 3.12 3.13
+PYTHONS ?= 3.12 3.13 3.14
 PYTHON3.12 ?= python3.12
 PYTHON3.13 ?= python3.13
+PYTHON3.14 ?= python3.14
 WITHOUT_TORCH := cmaes charset-normalizer corner emcee moocore optuna pint python-calamine
 test-pythons: $(PYTHONS:%=test-python-%)
 
