@@ -61,6 +61,7 @@ def test_every_screen_is_built_for_an_own_tube(app):
     assert "whether the cable" in page.tube.inputs["contact.cable"].description.content.html.lower()
     page.tube.inputs["tube.helix_length"].value = "30"
     assert page.schedule.length_range.end == pytest.approx(30.9)
+    assert page.schedule.charts[0].center[-1].top == 0.3  # m/s, permitted by the instrument
     page.tube.inputs["tube.helix_length"].value = "never"
     assert "tube.helix_length: Input should be a valid number" in page.tube.errors["tube.helix_length"].text
     assert page.session.tube.plant.tube.helix_length == 30.0

@@ -115,7 +115,9 @@ def test_axial_vibration_is_reported_beside_the_feed():
     """0.2 m/s and 0.06 m/s rms are above 0.25 m/s, from 40 m on; the list of metres is by the feed alone."""
     verdict, intervals = judged(insertion(axial_velocity_rms=above(40.0, 0.06, 0.04)))
     assert (verdict.allowed, verdict.sensor_length, intervals) == (True, 20.0, [])
-    assert verdict_text(verdict).endswith("everywhere; with its axial vibration (rms) the sensor is above it in 20.0 m")
+    assert verdict_text(verdict).endswith(
+        "everywhere; for information: feed and axial vibration (rms) exceed it in 20.0 m"
+    )
 
 
 def test_withdrawals_and_constant_lengths_are_not_judged():
@@ -261,7 +263,7 @@ def test_report_of_one_tube_lists_metres_to_repeat(tmp_path):
     expected = pd.DataFrame([("mine", 0, 0, 5.0, 8.0, "speed")], columns=[*CASE, *INTERVAL])
     pd.testing.assert_frame_equal(pd.read_csv(tmp_path / "repeat.csv"), expected)
     assert [file.name for file in tmp_path.glob("repeat-*.csv")] == ["repeat-mine.csv"]
-    sensor = "; with its axial vibration (rms) the sensor is above it in 3.0 m"
+    sensor = "; for information: feed and axial vibration (rms) exceed it in 3.0 m"
     held, _ = verdicts(done)["held"]
     assert verdict_text(held) == f"allowed: at most 0.25 m/s (test_frequency) everywhere{sensor}"
     page = (tmp_path / "report.html").read_text()

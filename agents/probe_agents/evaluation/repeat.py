@@ -278,7 +278,7 @@ def verdict_text(verdict: Verdict) -> str:
     if not verdict.requirement:
         return "no speed limit of the instrument is set"
     limit, mean = f"{verdict.permitted:.3g} m/s ({verdict.requirement})", verdict.on_average
-    sensor = f"; with its axial vibration (rms) the sensor is above it in {verdict.sensor_length:.1f} m{mean}"
+    sensor = f"; for information: feed and axial vibration (rms) exceed it in {verdict.sensor_length:.1f} m{mean}"
     sensor = sensor if verdict.sensor_length > verdict.length else ""
     if verdict.allowed:
         return f"allowed: at most {limit} everywhere{sensor}"

@@ -71,18 +71,14 @@ BASELINES: Final = ("best-schedule", "tension-scheduled")
 
 
 class Optimum(NamedTuple):
-    """A schedule over inserted length, and its expected result.
-
-    ``total`` is the expected time of a tube with its second pass, and of a bundle also with setup and withdrawal [s];
-    ``again`` the expected fraction of tubes with a second pass. NaN if the schedule was searched by reward.
-    """
+    """A schedule over inserted length, and its expected result."""
 
     schedule: Schedule
     reward: float  # mean expected reward of an insertion
     interval: tuple[float, float]  # quantiles INTERVAL of the expected reward over the samples
     tension: float  # root tension that CONFIDENCE of the samples exceed where lost drive is scored [N]
-    total: float = math.nan
-    again: float = math.nan
+    total: float = math.nan  # time of a tube as ``with_goal`` counts it [s]; NaN: searched by reward
+    again: float = math.nan  # fraction of tubes with a second pass; NaN: searched by reward
 
 
 @dataclass(frozen=True)
@@ -362,9 +358,8 @@ def optimal_law(
     lengths: tuple[float, ...] = ()
     for diameter in dict.fromkeys(tube.helix_diameter for tube in tubes):
         samples = [tube for tube in tubes if tube.helix_diameter == diameter][:DRAWS_PER_ROW]
-        contexts_by_friction = ([tube.model_copy(update={"friction": mu}) for tube in samples] for mu in inside)
-        optima = (optimal_schedule(contexts, response, config, start_air, bundle) for contexts in contexts_by_friction)
-        rows = [optimum.schedule for optimum in optima]
+        by_friction = ([tube.model_copy(update={"friction": mu}) for tube in samples] for mu in inside)
+        rows = [optimal_schedule(alike, response, config, start_air, bundle).schedule for alike in by_friction]
         lengths = rows[0].position
         columns = {name: tuple(getattr(row, name) for row in rows) for name in ("feed_speed", "air_supply_rate")}
         tables.append(OfDiameter(helix_diameter=diameter, **columns))

@@ -36,8 +36,8 @@ MAP_ERROR: Final = (
 )
 INTRO: Final = (
     "<h2>Schedule</h2><p class='quiet'>Choose feed speed and air so that the probe does not vibrate: drag the points,"
-    " tap to add one, or type into the table. The lowest chart is the prediction of the vibration map. Run the schedule"
-    " under <b>Insertion</b>.</p>"
+    " tap to add one, or type into the table. Shaded is what device and instrument permit. The lowest chart is the"
+    " prediction of the vibration map. Run the schedule under <b>Insertion</b>.</p>"
 )
 
 
@@ -99,7 +99,8 @@ class ScheduleScreen(ui.Screen):
         """Show ranges, limit and prediction of another tube."""
         self.case = self.session.case()
         config = self.case.config
-        ranges = (config.feed_speeds, tuple(HOUR * value for value in config.air_supply_rates))
+        feeds = config.feed_speeds[0], config.permitted_feed
+        ranges = (feeds, tuple(HOUR * value for value in config.air_supply_rates))
         for plot, key, (low, high) in zip(self.charts, (FEED, AIR), ranges, strict=True):
             plot.y_range.update(start=0.0, end=1.12 * max(high, *self.session.points[key]))
             plot.center[-1].update(bottom=low, top=high)
