@@ -29,7 +29,7 @@ from scipy.stats import qmc, truncnorm
 
 from probe_env.arrays import FloatArray
 from probe_env.envs.contexts import Context
-from probe_env.envs.task.config import VISIBLE_FIELDS, TaskConfig, ungrouped
+from probe_env.envs.task.config import MEASURES, VISIBLE_FIELDS, TaskConfig, ungrouped
 from probe_env.files import MEBI, FileError, read_bytes
 from probe_env.inspection.instrument import Instrument
 from probe_env.inspection.sensor import Sensor
@@ -97,12 +97,16 @@ class _Figure(Quantity):
     """Accepted range of a figure (of the mean of a normal one) or of each number of a list."""
 
     def check(self, value: Any) -> Any:
-        named = [("", number) for number in (value if isinstance(value, tuple) else (value,))]
-        if isinstance(value, Between | Normal):
-            named = list(value.model_dump(exclude={"std"}).items())
-        for name, number in named:
+        for name, number in _numbers(value):
             within(name, number, self.low, self.high, self.unit)
         return value
+
+
+def _numbers(value: Any) -> list[tuple[str, float]]:
+    """Numbers of a figure, with their keys, or of a tuple; of a normal figure the mean."""
+    if isinstance(value, Between | Normal):
+        return list(value.model_dump(exclude={"std"}).items())
+    return [("", number) for number in (value if isinstance(value, tuple) else (value,))]
 
 
 class Tubes(Model):
@@ -558,6 +562,32 @@ def implausible(plant: Plant) -> str:
                 " quantity this uncertain"
             )
     return ""
+
+
+FAR: Final = 50.0
+USUAL: Final = {
+    "tube": {"support_spacing": (1.5, "m")},
+    "route": {"length": (10.0, "m"), "slope": (90.0, "degrees"), "bend_radius": (1.0, "m")},
+    "contact": {"friction": (0.15, ""), "stiffness": (1e5, "N/m")},
+    "air": {"air_supply_rates": (0.0175, "m3/s"), "air_lag": (1.0, "s")},
+    "feed": {"feed_speeds": (0.1, "m/s"), "ramp": (0.5, "m/s2")},
+    "instrument": {"sample_rate": (500.0, "Hz"), "bandwidth": (100.0, "Hz"), "test_frequency": (160.0, "Hz")},
+}
+"""Usual value and unit by table and field of a plant, where a value in another unit is within the accepted range."""
+
+
+def unusual(plant: Plant) -> list[str]:
+    """Notes on values more than ``FAR`` times larger or smaller than ``USUAL``; zeros are left out."""
+    limit = {"vibration_limit": (MEASURES[plant.config.vibration_measure][1], "in SI units")}
+    parts: list[tuple[str, Model | None]] = [(f"route.{k}", segment) for k, segment in enumerate(plant.route)]
+    parts += [(name, getattr(plant, name)) for name in USUAL if name != "route"] + [("task", plant.config)]
+    return [
+        f"{table}.{name} = {number:.3g} is far from a usual {f'{usual:g} {unit}'.rstrip()}: is the unit right?"
+        for table, part in parts
+        for name, (usual, unit) in (USUAL | {"task": limit})[table.partition(".")[0]].items()
+        for _, number in _numbers(getattr(part, name, None))
+        if number and not 1.0 / FAR <= abs(number) / usual <= FAR
+    ]
 
 
 def _balanced_diameters(fractions: FloatArray, diameters: Sequence[float]) -> list[float]:

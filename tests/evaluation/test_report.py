@@ -248,6 +248,7 @@ def test_oracles_are_no_rivals():
         assert oracle_policies(SimpleNamespace(record=record)) == {name.replace(":", "-") for name in names} - {"pi"}
 
 
+@pytest.mark.filterwarnings("ignore:.*is the unit right")
 def test_tubes_without_a_valid_start_are_refused(tmp_path, capsys):
     tube, output = tmp_path / "mine.toml", tmp_path / "out"
     for text, message in (

@@ -7,7 +7,7 @@ import pytest
 
 from probe_agents.evaluation.run import plan_of
 from probe_agents.policies.bundle import Agent
-from probe_agents.policies.cases import load_case, map_of, read_case, with_probe
+from probe_agents.policies.cases import load_case, map_of, plant_at, read_case, with_probe
 from probe_agents.policies.catalogue import make_policy
 from probe_agents.policies.on_map import MARGIN, WORST, WORST_MARGIN, best_schedule_for, knots, min_air, root_tensions
 from probe_agents.policies.policy import Domain, OutsideDomain, ranges_of
@@ -26,6 +26,12 @@ OTHER = Plant(
     air={"density": 1.2, "drag_coefficient": 0.5},
     probe={"carrier_float_diameter": 20e-3, "guide_float_diameter": 20e-3},
 )
+
+
+def test_unusual_values_of_a_tube_file_give_a_warning(tmp_path):
+    (tmp_path / "mine.toml").write_text("[contact]\nstiffness = 1e8\n")
+    with pytest.warns(UserWarning, match=r"mine.toml: contact.stiffness = 1e\+08 is far from"):
+        plant_at(tmp_path / "mine.toml")
 
 
 def test_equivalent_air_pulls_as_strongly():

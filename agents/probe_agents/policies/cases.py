@@ -1,6 +1,7 @@
 """Evaluation cases: task, tubes and vibration map of a plant, or of the study's table 2 with the shipped tubes."""
 
 import hashlib
+import warnings
 from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple
 
@@ -8,7 +9,7 @@ from probe_agents.records.shipped import file_or_shipped
 from probe_agents.terminal.names import checked_name, name_of
 from probe_env import Context, Design, Plant
 from probe_env.envs.contexts import SPLIT_SIZES, Split, spread_contexts
-from probe_env.envs.plants import map_file
+from probe_env.envs.plants import map_file, unusual
 from probe_env.envs.task.config import ScoredPass, TaskConfig
 from probe_env.envs.vibration_map import VibrationMap, load_for, stored_map
 from probe_env.scene import whole_pitches
@@ -42,8 +43,11 @@ class EvaluationCase(NamedTuple):
 
 
 def plant_at(plant_file: Path | None) -> Plant | None:
-    """Read a plant by its file, or by the name of a shipped one; None for None."""
-    return None if plant_file is None else Plant.from_toml(file_or_shipped("tubes", plant_file))
+    """Read a plant by its file, or by the name of a shipped one; None for None. Warns of ``unusual`` values."""
+    plant = None if plant_file is None else Plant.from_toml(file_or_shipped("tubes", plant_file))
+    for note in unusual(plant) if plant else ():
+        warnings.warn(f"{plant_file}: {note}", stacklevel=2)
+    return plant
 
 
 def map_of(plant_file: Path | None, plant: Plant | None) -> VibrationMap:

@@ -1,5 +1,6 @@
 """Plants: files of custom tubes, their errors, and the same plant in every environment."""
 
+import tomllib
 from pathlib import Path
 
 import gymnasium as gym
@@ -11,7 +12,7 @@ from scipy.stats import ks_1samp, norm, uniform
 from probe_agents.vec_env import ProbeVecEnv
 from probe_env import Plant, Scene, TaskConfig
 from probe_env.envs.contexts import HELIX_DIAMETERS, Context
-from probe_env.envs.plants import Bundle, Normal, middle, quantiles, supply_in_si, supply_per_hour
+from probe_env.envs.plants import Bundle, Normal, middle, quantiles, supply_in_si, supply_per_hour, unusual
 from probe_env.physics.closed_forms.route import min_air, required_root_tension, route_forces
 
 TEXT = """
@@ -162,6 +163,29 @@ def test_errors_are_one_line_with_file_and_field(tmp_path):
             Plant.from_toml(path)
         assert str(error.value).startswith(str(path))
         assert "\n" not in str(error.value)
+
+
+def test_values_in_a_thousandfold_unit_are_noted():
+    """Those of every shipped plant are not."""
+    files = sorted((Path(__file__).parents[3] / "configs" / "tubes").glob("*.toml"))
+    assert [unusual(Plant.from_toml(file)) for file in files] == [[]] * 5
+    (text,) = [file.read_text() for file in files if file.stem == "example"]
+    for usual, wrong in (
+        ("length = 6.0", "length = 0.006"), ("slope = 30.0", "slope = 0.52"), ("low = 0.12", "low = 1.2e-4"),
+        ("mean = 1.0e5", "mean = 1e8"), ("[30.0, 122.0]", "[0.03, 122.0]"), ("air_lag = 1.5", "air_lag = 1.5e-3"),
+        ("[0.03, 0.35]", "[3e-5, 0.35]"), ("ramp = 0.4", "ramp = 400.0"), ("sample_rate = 500.0", "sample_rate = 5e5"),
+        ("test_frequency = 160.0", "test_frequency = 1.6e5"), ("support_spacing = 1.5", "support_spacing = 1.5e-3"),
+        ("vibration_limit = 1e-4", "vibration_limit = 1e-7"),
+    ):  # fmt: skip
+        assert text.count(usual) == 1
+        text = text.replace(usual, wrong)
+    notes = unusual(Plant.model_validate(tomllib.loads(text)))
+    assert [note.split(" = ")[0] for note in notes] == [
+        "route.0.length", "route.0.slope", "tube.support_spacing", "contact.friction", "contact.stiffness",
+        "air.air_supply_rates", "air.air_lag", "feed.feed_speeds", "feed.ramp", "instrument.sample_rate",
+        "instrument.test_frequency", "task.vibration_limit",
+    ]  # fmt: skip
+    assert notes[4] == "contact.stiffness = 1e+08 is far from a usual 100000 N/m: is the unit right?"
 
 
 def test_withdrawal_of_a_bundle_takes_a_given_time():
