@@ -191,8 +191,23 @@ def test_uploads_of_equal_name_are_both_stored(app, page):
     assert page.session.points == {"inserted_length_m": [5.0], FEED: [0.1], AIR: [60.0]}
     assert page.session.name == "mine"
     assert page.schedule.file.text == "# interpolation: linear\n" + text.format(0.1).replace("5,0.1,60", "5.0,0.1,60.0")
-    with pytest.raises(ValueError, match="is not a regular file"):
-        page.session.store_upload("..", "")
+    with pytest.raises(ValueError, match="is a folder"):
+        page.session.store_upload("..", coded[0])
+    with pytest.raises(ValueError, match=r"big.toml: empty, or more than"):
+        page.session.store_upload("big.toml", "")
+
+
+def test_null_and_nan_of_a_forged_message_change_nothing(page):
+    field, flaw = page.tube.inputs["contact.walls"], page.insertion.flaw
+    before = [page.tube.summary.text, page.tube.file.text, dict(flaw.flaw.data)]
+    page.tube.shipped.value = field.value = None
+    flaw.before.value = float("nan")
+    assert [page.tube.summary.text, page.tube.file.text, dict(flaw.flaw.data)] == before
+
+
+def test_unusual_values_of_the_tube_are_noted(page):
+    page.tube.inputs["contact.stiffness"].value = "1e8"
+    assert "contact.stiffness = 1e+08 is far from a usual 100000 N/m" in page.tube.summary.text
 
 
 def test_a_dragged_flaw_stays_within_the_last_second(page):
@@ -292,7 +307,7 @@ def test_forged_values_are_refused_at_their_field(page, tmp_path):
         (page.manual, "rival", "slow-dwon", "; the closest: slow-down"),
         (page.compare, "open", "x" * 5000, "File name too long"),
         (page.tube, "open", "x" * 5000, "File name too long"),
-        (page.tube, "save", f"{'x' * 5000}.toml", "File name too long"),
+        (page.tube, "save", f"{'x' * 5000}.toml", "is not a name of 1 to 80 characters"),
         (page.schedule, "open", f"{'x' * 5000}.csv", "File name too long"),
     ):
         widget = getattr(screen, field)

@@ -143,6 +143,10 @@ def test_folders_in_which_a_tube_can_be_saved(tmp_path):
     form.save(Path("mine.toml"), app, replace=True)
     assert Plant.from_toml(rigs / "mine.toml").contact.friction == 0.3
     form.save(app / "other.toml", app)
+    with pytest.raises(FileError, match=re.escape(f"a tube file is saved in {app}: give a name alone")):
+        form.save(rigs / "mine.toml", app)
+    with pytest.raises(ValueError, match="invisible characters"):
+        form.save(Path("a\nb.toml"), app)
     assert Plant.from_toml(app / "other.toml").contact.friction == 0.3
 
 

@@ -6,11 +6,14 @@ import os
 import signal
 import socket
 import threading
+import time
 import weakref
 from itertools import product
 from types import SimpleNamespace
 
 import pytest
+from bokeh.models import Div
+from tornado.gen import multi
 from tornado.httpclient import AsyncHTTPClient, HTTPClientError, HTTPRequest
 from tornado.websocket import websocket_connect
 
@@ -46,15 +49,22 @@ def server(made):
 
 @pytest.fixture
 def get(server):
-    """A function that returns the answer to a request, by default of a browser that has been let in."""
+    """A function that returns the answer to a request, by default of a browser that has been let in.
+
+    For a list of paths: the answers to requests at the same time.
+    """
     server.start()
     client = AsyncHTTPClient(force_instance=True)
 
     def get(path, cookie=f"probe-env-{server.port}={TOKEN}", **headers):
-        url = f"http://127.0.0.1:{server.port}{path}"
         headers = {"Cookie": cookie, "Host": f"localhost:{server.port}"} | headers
-        options = {"raise_error": False, "follow_redirects": False, "request_timeout": 60.0}
-        return server.io_loop.run_sync(lambda: client.fetch(url, headers=headers, **options))
+        options = {"raise_error": False, "follow_redirects": False, "headers": headers}
+        options |= {"connect_timeout": 60.0, "request_timeout": 60.0}
+
+        def fetch(path):
+            return client.fetch(f"http://127.0.0.1:{server.port}{path}", **options)
+
+        return server.io_loop.run_sync(lambda: fetch(path) if isinstance(path, str) else multi(list(map(fetch, path))))
 
     yield get
     client.close()
@@ -66,16 +76,29 @@ def test_the_server_listens_to_this_machine_alone(server):
     assert [sock.getsockname()[0] for sock in server._http._sockets.values()] == ["127.0.0.1"]
 
 
-def test_garbage_collection_frees_closed_pages_only(server):
-    document = server._tornado.applications["/"].application.create_document()
+@pytest.fixture
+def blank(monkeypatch):
+    """Pages of one element, which take no time."""
+    page = SimpleNamespace(add_to=lambda document: document.add_root(Div()))
+    monkeypatch.setattr("probe_agents.app.server.Page", lambda *_: page)
+
+
+def test_one_garbage_collection_frees_all_closed_pages(server, blank, monkeypatch):
+    application, collections, unfreeze = server._tornado.applications["/"].application, [], gc.unfreeze
+    monkeypatch.setattr("probe_agents.app.server.gc.unfreeze", lambda: collections.append(unfreeze()))
+    documents = [application.create_document() for _ in range(2)]
     assert gc.get_freeze_count() > 0
-    page, (closed,) = weakref.ref(document), document.session_destroyed_callbacks
-    del document
+    pages, closed = [weakref.ref(d) for d in documents], [c for d in documents for c in d.session_destroyed_callbacks]
+    del documents
     gc.collect()
-    assert page() is not None  # held by cycles of references
-    closed(None)
-    assert page() is None
-    gc.unfreeze()
+    assert None not in [page() for page in pages]  # held by cycles of references
+    for close in closed:
+        close(None)
+    deadline = time.monotonic() + 60.0
+    while any(page() for page in pages) and time.monotonic() < deadline:
+        server.io_loop.run_sync(lambda: asyncio.sleep(0.1))
+    assert ([page() for page in pages], len(collections)) == ([None, None], 1)
+    unfreeze()
 
 
 def test_requests_without_the_token_are_refused(server, get):
@@ -154,10 +177,12 @@ def test_only_shown_reports_are_served_in_a_sandbox(app, get, tmp_path):
         assert get(f"/report/?folder={tmp_path}/{folder}").code == 404
 
 
-def test_the_number_of_pages_is_bounded(server, get, monkeypatch):
-    monkeypatch.setattr("probe_agents.app.server.MAX_PAGES", 1)
-    assert [get(path).code for path in ("/", "/", PATHS[2], SCRIPT)] == [200, 503, 503, 200]
-    assert len(server.get_sessions("/")) == 1
+def test_the_number_of_pages_is_bounded(server, blank, get, monkeypatch):
+    """Also of those requested at once."""
+    monkeypatch.setattr("probe_agents.app.server.MAX_PAGES", 2)
+    assert sorted(answer.code for answer in get(["/"] * 4)) == [200, 200, 503, 503]
+    assert [get(path).code for path in ("/", PATHS[2], SCRIPT)] == [503, 503, 200]
+    assert len(server.get_sessions("/")) == 2
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

@@ -209,6 +209,10 @@ def test_files_of_the_computer_are_opened_and_downloaded(page, tmp_path):
     page.get_by_text("uploads/").first.wait_for()
     assert page.get_by_label("inner diameter [mm]", exact=True).input_value() == "23.1"
     assert downloaded(page) == ("plant.toml", (tmp_path / "plant.toml").read_text())
+    (tmp_path / "large.toml").write_bytes(b"#" * 15_000_000)
+    page.locator("input[accept='.toml']").set_input_files(tmp_path / "large.toml")
+    page.get_by_text("large.toml: empty, or more than the 14 MB").wait_for()
+    assert page.get_by_label("inner diameter [mm]", exact=True).input_value() == "23.1"
 
 
 def test_two_browsers_share_runs_but_not_schedules(browser, app):

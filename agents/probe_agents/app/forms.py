@@ -14,6 +14,7 @@ from pydantic import ValidationError
 
 from probe_agents.records.atomic import write_atomically
 from probe_agents.records.shipped import file_or_shipped, ships
+from probe_agents.terminal.names import checked_name
 from probe_env import Plant
 from probe_env.envs.plants import OF_AIR, OF_FEED, Between, supply_in_si, supply_per_hour
 from probe_env.envs.task.config import VISIBLE_FIELDS, TaskConfig
@@ -264,6 +265,7 @@ class TubeForm:
             ReplaceError: there is such a tube file, and ``replace`` is not set.
             FileError: another folder, or an existing file of another kind.
         """
+        checked_name(path.name, "tube")
         if path.suffix != ".toml":
             raise FileError(path, "a tube file must end with .toml")
         if ships("tubes", path):
@@ -271,8 +273,9 @@ class TubeForm:
         folders = [folder] if self.path is None or ships("tubes", self.path) else [self.path.parent, folder]
         if path.parent == Path():
             path = folders[0] / path
-        if path.parent.resolve() not in [accepted.resolve() for accepted in folders]:
-            raise FileError(path, f"a tube file is saved in {' or '.join(map(str, folders))}: give a name alone")
+        accepted = {folder.resolve(): str(folder) for folder in folders}
+        if path.parent.resolve() not in accepted:
+            raise FileError(path, f"a tube file is saved in {' or '.join(accepted.values())}: give a name alone")
         check_target(path, Plant.from_toml, replace)
         self._write(path)
         self.open(path)

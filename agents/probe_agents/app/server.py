@@ -11,7 +11,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
-from bokeh.application import Application
+from bokeh.application.application import Application, ServerContext
 from bokeh.application.handlers.function import FunctionHandler
 from bokeh.document import Document
 from bokeh.server.server import BaseServer
@@ -45,11 +45,11 @@ class Gate(Matcher):
     """Matches the requests to refuse, with status and reason.
 
     These are requests to another host name (DNS rebinding), by another site, and without the token, which is in the
-    printed address and then in a cookie; and pages beyond ``MAX_PAGES``.
+    printed address and then in a cookie.
     """
 
-    def __init__(self, server: BaseServer, hosts: Collection[str], cookie: str, token: str) -> None:
-        self.server, self.hosts, self.cookie, self.token = server, hosts, cookie, token
+    def __init__(self, hosts: Collection[str], cookie: str, token: str) -> None:
+        self.hosts, self.cookie, self.token = hosts, cookie, token
 
     def match(self, request: HTTPServerRequest) -> dict[str, Any] | None:
         """Arguments of ``Refusal``; None: the request is not refused."""
@@ -70,9 +70,6 @@ class Gate(Matcher):
             token = request.query_arguments.get("token", [b""])[0]
         if not secrets.compare_digest(token, self.token.encode()):
             return 403, "Open the address that probe-env app has printed"
-        maximum = MAX_PAGES + (request.path == "/ws")  # the connection of the last page
-        if len(self.server.get_sessions("/")) >= maximum and not request.path.startswith(("/static/", REPORT_URL)):
-            return 503, "Too many pages are open: close some and wait half a minute"
         return None
 
 
@@ -86,6 +83,22 @@ class Refusal(RequestHandler):
     def prepare(self) -> None:
         """Refuse, whatever the method."""
         raise HTTPError(self.status, reason=self.reason)
+
+
+class PageHandler(FunctionHandler):  # type: ignore[misc]  # bokeh is not followed
+    """Makes at most ``MAX_PAGES`` pages."""
+
+    context: ServerContext
+
+    def on_server_loaded(self, server_context: ServerContext) -> None:
+        """Keep the list of open pages."""
+        self.context = server_context
+
+    def process_request(self, request: HTTPServerRequest) -> dict[str, Any]:
+        """Refuse a page too many, just before it is made: others can be requested at the same time."""
+        if len(self.context.sessions) >= MAX_PAGES:
+            raise HTTPError(503, reason="Too many pages are open: close some and wait half a minute")
+        return {}
 
 
 class LoginHandler(RequestHandler):
@@ -156,15 +169,21 @@ def serve(tube: Path | None, port: int, output: Path, show: bool, origin: str | 
 
 def make_server(app: AppState, tube: Path | None, port: int, token: str, origin: str | None = None) -> BaseServer:
     """Make a server, not started, for requests with the token; pages load all files from it."""
+    waiting: list[object] = []  # for garbage collection, which takes as long for one page as for all that were closed
 
-    def collect_garbage(session: Any) -> None:  # of closed pages
+    def collect_soon(session: Any) -> None:
+        if not waiting:
+            waiting.append(IOLoop.current().call_later(1.0, collect_garbage))
+
+    def collect_garbage() -> None:
+        waiting.clear()
         gc.unfreeze()
         gc.collect()
         gc.freeze()
 
     def open_document(document: Document) -> None:
         Page(app, tube).add_to(document)
-        document.on_session_destroyed(collect_garbage)
+        document.on_session_destroyed(collect_soon)
         gc.freeze()  # a garbage collection of open pages would stop them for 0.3 s
 
     try:
@@ -179,7 +198,7 @@ def make_server(app: AppState, tube: Path | None, port: int, token: str, origin:
     hosts = {each.partition(":")[0] for each in origins}
     secret = {"cookie": f"probe-env-{port}", "token": token}  # a browser sends cookies to all ports of a host
     pages = BokehTornado(
-        {"/": Application(FunctionHandler(open_document))},
+        {"/": Application(PageHandler(open_document))},
         absolute_url=f"http://{HOSTS[0]}:{port}/",
         extra_websocket_origins=origins,
         extra_patterns=[(REPORT_URL, ReportHandler, {"folders": app.reports}), (LOGIN_URL, LoginHandler, secret)],
@@ -189,5 +208,5 @@ def make_server(app: AppState, tube: Path | None, port: int, token: str, origin:
     http.add_socket(listener)
     server = BaseServer(IOLoop.current(), pages, http)
     # not an auth_provider: Bokeh asks it neither for static files nor for other patterns
-    pages.add_handlers(".*", [Rule(Gate(server, hosts, **secret), Refusal)])
+    pages.add_handlers(".*", [Rule(Gate(hosts, **secret), Refusal)])
     return server

@@ -55,7 +55,9 @@ class Session:
 
     def store_upload(self, filename: str, content: str) -> Path:
         """Store a file that the browser has sent, in base64; other contents of the same name are another file."""
-        folder = self.app.output / "uploads" / hashlib.sha256(content.encode()).hexdigest()[:6]
+        if not content:
+            raise ValueError(f"{filename}: empty, or more than the 14 MB that a page sends: type its path instead")
+        folder = self.app.output / "uploads" / hashlib.sha256(content.encode()).hexdigest()[:16]
         path = folder / checked_name(PurePath(filename).name, "file")
         write_atomically(path, base64.b64decode(content))
         return path

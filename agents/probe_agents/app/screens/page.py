@@ -30,6 +30,14 @@ window.probe_env_is_ready = true;
 document.documentElement.lang = "en";
 // by default a drag that begins 300 ms after the mouse button was pressed, or on a busy page, counts as a long press
 Bokeh.index.find_one(chart).canvas_view.ui_event_bus.ui_gestures.constructor.press_threshold = 1e9;
+// Bokeh's websocket takes 20 MB, in base64 15 MB: of a larger file only the name is sent, which the server refuses
+document.addEventListener("input", (event) => {
+    const input = event.composedPath()[0];
+    if (input.type != "file" || input.files.length == 0 || input.files[0].size <= 14e6) return;
+    const nothing = new DataTransfer();
+    nothing.items.add(new File([], input.files[0].name));
+    input.files = nothing.files;
+}, true);
 const typed = (event) => event.composedPath().some((e) => ["INPUT", "TEXTAREA", "SELECT"].includes(e.tagName)
                                                          || (e.classList && e.classList.contains("slick-cell")));
 document.addEventListener("keydown", (event) => {

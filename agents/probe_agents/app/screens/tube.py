@@ -15,6 +15,7 @@ from probe_agents.app.screens.charts import empty_source
 from probe_agents.app.state import Session
 from probe_agents.records.shipped import shipped_names
 from probe_env import Plant
+from probe_env.envs.plants import unusual
 
 TITLES: Final = {"contact": "Walls", "feed": "Feed device"}
 FOLDED: Final = {"sensor": "the sensor model", "task": "limits, weights and sensors of the task"}
@@ -149,6 +150,7 @@ class TubeScreen(ui.Screen):
             text = f"Your tube, {source}{changes}. Uncertain values are sampled for every tube."
         length, diameter = tube.plant.scene.tube.helix_length, tube.plant.scene.tube.helix_diameter
         self.summary.text = f"<p>{text} {length:g} m, {length / (np.pi * diameter):.1f} turns of {diameter:g} m.</p>"
+        self.summary.text += "".join(map(ui.alert, unusual(tube.plant)))
         self._draw_section(tube.plant)
 
 

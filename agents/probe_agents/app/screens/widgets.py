@@ -132,10 +132,10 @@ def table_html(header: Iterable[str], rows: Iterable[Iterable[str]], style: str 
 
 
 def control(kind: Any, title: str, changed: Callable[[], None] | None = None, width: int = 190, **options: Any) -> Any:
-    """A widget that calls ``changed`` when its value changes."""
+    """A widget that calls ``changed`` when its value changes to anything but null or NaN."""
     widget = kind(title=title, width=width, **options)
     if changed is not None:
-        widget.on_change("value", lambda attr, old, new: changed())
+        widget.on_change("value", lambda attr, old, new: changed() if new is not None and new == new else None)
     return widget
 
 
