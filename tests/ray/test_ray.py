@@ -1,5 +1,6 @@
 """On a real Ray cluster of several nodes, with gymnasium 1.2.2: equal results, a lost node costs time alone."""
 
+import os
 import re
 import threading
 import time
@@ -71,15 +72,28 @@ def test_training_on_the_cluster_equals_the_local_one(cluster, tmp_path):
     assert (tmp_path / "there" / "seed-1" / BEST).exists()
 
 
-@pytest.mark.filterwarnings("ignore:a worker was lost")
 def test_dead_node_of_the_cluster_changes_no_result(cluster):
     def slowly(task):  # inside, so that it travels by value: workers do not have this file
         time.sleep(0.5)
         return 10 * task
 
-    threading.Timer(6.0, lambda: cluster.remove_node(cluster.nodes[0], allow_graceful=False)).start()
-    results = sorted(Workers(2, "ray", cluster.address).map(slowly, range(40)))
-    assert results == [(k, 10 * k) for k in range(40)]
+    for moment in (0.0, 0.2, 0.5, 1.0, 2.0, 3.5):  # while workers start, and while they work [s]
+        kill = threading.Timer(moment, cluster.remove_node, cluster.nodes[:1], {"allow_graceful": False})
+        kill.start()
+        results = sorted(Workers(2, "ray", cluster.address).map(slowly, range(16)))
+        assert results == [(k, 10 * k) for k in range(16)]
+        kill.join()
+        cluster.nodes = [*cluster.nodes[1:], cluster.add_node(num_cpus=1)]
+
+
+def test_errors_of_tasks_on_the_cluster_are_the_local_ones(cluster):
+    """A task that always ends its worker is one, too."""
+    workers = Workers(2, "ray", cluster.address)
+    with pytest.raises(ValueError, match=r"^could not convert string to float: 'x'$") as caught:
+        list(workers.map(float, ["1", "x"]))
+    assert "probe_agents" in str(caught.value.__cause__)  # the trace
+    with pytest.raises(RuntimeError, match="no result of a task after 5 attempts: The worker died"):
+        list(workers.map(os._exit, [1]))
 
 
 def test_the_rllib_example_trains():

@@ -1,4 +1,4 @@
-"""Runs tasks in this process, in worker processes of this machine (loky), or on a Ray cluster, with joblib.
+"""Runs tasks in this process, in worker processes of this machine (joblib with loky), or on a Ray cluster.
 
 Tasks of a lost worker are run again.
 """
@@ -9,7 +9,7 @@ import threading
 import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from concurrent.futures import BrokenExecutor
 from dataclasses import dataclass
 from functools import cache
 from typing import Annotated, Any, Final, Literal
@@ -19,14 +19,7 @@ from tqdm import tqdm
 
 Backend = Literal["local", "ray"]
 ATTEMPTS: Final = 5
-"""Maximum number of losses of workers without a result between them."""
-WAVE: Final = 2
-"""Tasks per worker in one call of Ray, which returns the results of a call together."""
-LOST: Final = (
-    "TerminatedWorkerError", "BrokenProcessPool",
-    "RayActorError", "ActorDiedError", "ActorUnavailableError", "WorkerCrashedError", "NodeDiedError",
-)  # fmt: skip
-"""Errors of a lost process or node."""
+"""Maximum number of losses of workers: without a result between them, on a cluster with the same task."""
 
 
 @dataclass(frozen=True)
@@ -60,65 +53,64 @@ class Workers:
         Raises:
             RuntimeError: the backend is not installed, or workers are lost ``ATTEMPTS`` times.
         """
-        return ((task, function(task)) for task in tasks) if self.here else self._parallel(function, tasks)
+        if self.here:
+            return ((task, function(task)) for task in tasks)
+        return self._on_cluster(function, tasks) if self.backend == "ray" else self._in_processes(function, tasks)
 
-    def _parallel(self, function: Callable[[Any], Any], tasks: Sequence[Any]) -> Iterator[tuple[Any, Any]]:
-        import joblib
+    def _in_processes(self, function: Callable[[Any], Any], tasks: Sequence[Any]) -> Iterator[tuple[Any, Any]]:
+        from joblib import Parallel, delayed
 
-        parent = os.getpid() if self.backend == "local" else None
-        remaining, losses = dict(enumerate(tasks)), 0
-        with self._backend() as (available, wave, options):
-            while remaining:
-                part = list(remaining.items())[: wave and wave * available()]
-                calls = [joblib.delayed(_numbered)(parent, function, number, task) for number, task in part]
-                results = joblib.Parallel(available(), batch_size=1, **options)(calls)
-                try:
-                    for number, result in results:
-                        losses = 0
-                        yield remaining.pop(number), result
-                except Exception as error:
-                    if type(error).__name__ not in LOST:
-                        raise
-                    losses += 1
-                    if losses == ATTEMPTS:
-                        raise RuntimeError(f"workers were lost {ATTEMPTS} times without a result") from error
-                    text = f"a worker was lost ({type(error).__name__}): {len(remaining)} tasks continue"
-                    warnings.warn(text, stacklevel=2)
-                finally:
-                    if self.backend == "local":  # joblib warns of cancelled tasks
-                        with warnings.catch_warnings(action="ignore"):
-                            results.close()
+        parent, remaining, losses = os.getpid(), dict(enumerate(tasks)), 0
+        while remaining:
+            calls = [delayed(_numbered)(parent, function, *item) for item in remaining.items()]
+            # in any order; arrays are copied to the workers
+            results = Parallel(self.jobs, "loky", return_as="generator_unordered", batch_size=1, max_nbytes=None)(calls)
+            try:
+                for number, result in results:
+                    losses = 0
+                    yield remaining.pop(number), result
+            except BrokenExecutor as error:
+                losses += 1
+                if losses == ATTEMPTS:
+                    raise RuntimeError(f"workers were lost {ATTEMPTS} times without a result") from error
+                text = f"a worker was lost ({type(error).__name__}): {len(remaining)} tasks continue"
+                warnings.warn(text, stacklevel=2)
+            finally:
+                with warnings.catch_warnings(action="ignore"):  # of joblib about cancelled tasks
+                    results.close()
 
-    @contextmanager
-    def _backend(self) -> Iterator[tuple[Callable[[], int], int | None, dict[str, Any]]]:
-        """Function for the number of available workers, tasks per worker and call, and joblib options."""
-        if self.backend == "local":  # results in any order; arrays are copied to the workers
-            yield lambda: self.jobs, None, {"backend": "loky", "return_as": "generator_unordered", "max_nbytes": None}
-            return
+    def _on_cluster(self, function: Callable[[Any], Any], tasks: Sequence[Any]) -> Iterator[tuple[Any, Any]]:
         try:
-            import joblib
             import ray
-            from ray.util.joblib import register_ray
         except ImportError as error:
             raise RuntimeError(f"backend = 'ray' needs the extra probe-env[ray]: {error}") from error
         if not ray.is_initialized():
             ray.init(address=self.address, log_to_driver=False)
-        register_ray()
-
-        def available() -> int:  # a pool of more CPUs than available would wait for ever
-            return max(min(self.jobs, int(ray.cluster_resources().get("CPU", 1))), 1)
-
-        with joblib.parallel_config(backend="ray"):
-            yield available, WAVE, {}
+        run = ray.remote(max_retries=ATTEMPTS - 1)(lambda function, task: function(task))
+        shared, waiting = ray.put(function), list(reversed(tasks))
+        running: dict[Any, Any] = {}  # reference to the result -> task
+        try:
+            while waiting or running:
+                while waiting and len(running) < self.jobs:
+                    task = waiting.pop()
+                    running[run.remote(shared, task)] = task
+                (finished,), _ = ray.wait(list(running))
+                yield running.pop(finished), ray.get(finished)
+        except ray.exceptions.RayTaskError as error:
+            raise error.cause from error
+        except ray.exceptions.RayError as error:
+            raise RuntimeError(f"the cluster has no result of a task after {ATTEMPTS} attempts: {error}") from error
+        finally:
+            for left in running:
+                ray.cancel(left, force=True)
 
 
 HERE = Workers()
 """This process."""
 
 
-def _numbered(parent: int | None, function: Callable[[Any], Any], number: int, task: Any) -> tuple[int, Any]:
-    if parent is not None:
-        _set_up(parent)
+def _numbered(parent: int, function: Callable[[Any], Any], number: int, task: Any) -> tuple[int, Any]:
+    _set_up(parent)
     return number, function(task)
 
 
