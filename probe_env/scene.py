@@ -15,6 +15,8 @@ from probe_env.settings import Model, quantity
 
 LENGTH_TOLERANCE = 1e-6
 """Greatest difference of a cable length from a whole multiple of the float pitch [m]."""
+FRICTION_SPEED = 0.2
+"""Sliding speed at which the coefficient of friction is ``contact.friction`` [m/s]."""
 
 
 class Tube(Model):
@@ -73,9 +75,18 @@ class Contact(Model):
     """Walls that floats touch."""
     cable: bool = False
     """Contact of the cable between floats with the walls, as where compression buckles it."""
+    damping: Annotated[float, quantity(0.0, 100.0, "N s/m")] = 0.0
+    """Damping of the contact: the wall pushes with k depth + c d(depth)/dt, and never pulls [N s/m]."""
+    friction_slope: Annotated[float, quantity(-0.5, 0.5, "s/m")] = 0.0
+    """Change of the coefficient of friction per sliding speed [s/m]; ``friction`` is that at ``FRICTION_SPEED``, 0.2
+    m/s."""
     weight: bool = False
     """Friction from the weight of the cable, which acts across the plane of the helix (vertical axis): a float has the
     friction mu sqrt(N^2 + w^2), also without contact in the plane, with the weight w of a pitch of cable."""
+
+    def friction_at(self, speed: float) -> float:
+        """Coefficient of friction at a sliding speed [m/s]."""
+        return max(self.friction + self.friction_slope * (abs(speed) - FRICTION_SPEED), 0.0)
 
 
 class Air(Model):
@@ -123,6 +134,10 @@ class Scene(Model):
     air_supply_rate: Annotated[float, quantity(-0.2, 0.2, "m3/s")] = 63.0 / 3600.0
     """Air supply behind the probe, as volume at the pressure of the exit; negative: towards the feed device [m3/s].
     1 m3/h is 2.78e-4 m3/s."""
+    feed_ripple: Annotated[float, quantity(0.0, 0.5, "")] = 0.0
+    """Ripple of the feed device: amplitude of the feed speed's variation, divided by the feed speed [-]."""
+    ripple_length: Annotated[float, quantity(1e-4, 10.0, "m")] = 8e-3
+    """Cable fed in one period of the ripple, such as the pitch of a tooth [m]; the default is 25 Hz at 0.2 m/s."""
     carrier_length: Annotated[float, quantity(0.0, 1e3, "m")] = 50.0
     """Length of the cable between entrance and sensor [m]."""
 

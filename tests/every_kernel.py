@@ -53,7 +53,8 @@ def run_all():
     for method, count in itertools.product(STEPS, (1, 5)):
         if METHODS[method].simulates_weight:
             terms = {"shortening": count > 1, "stiction": count > 1}
-            options = {"contact": {"weight": True}, "air": {"compressible": True}, "terms": terms}
+            contact = {"weight": True, "damping": 0.1 if METHODS[method].simulates_damping else 0.0}
+            options = {"contact": contact, "air": {"compressible": True}, "terms": terms}
             scenes = [scene("both").model_copy(update=options)] * count
             batch = SimulatorBatch(scenes, method, STEPS[method], growing=True, time_lapse=1000.0, threads=1)
             for simulator in batch.simulators:

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from probe_agents.studies import effects
-from probe_agents.studies.effects import MODELS, ONSET, PARTS, Effect
+from probe_agents.studies.effects import EFFECTS, MODELS, ONSET, PARTS, Effect
 from probe_env import Scene, StabilityWarning
 from probe_env.fidelity import PRESETS, Fidelity
 
@@ -19,6 +19,12 @@ def test_the_parts_together_are_the_whole_model():
     scenes = {model: Effect(0.15, 50.0, model, 1).scene() for model in MODELS}
     assert scenes["study"] == Scene()
     assert scenes["whole"] == Scene().whole()
+    for effect, changes in EFFECTS.items():
+        assert scenes[f"whole with {effect}"] == Scene().whole().model_copy(update=changes) != scenes["whole"]
+    ratio = -np.log(0.7) / np.hypot(np.pi, np.log(0.7))  # of a damped bounce, with the mass of a pitch
+    assert EFFECTS["restitution 0.7"]["contact"]["damping"] == pytest.approx(
+        2.0 * ratio * np.sqrt(1e5 * 0.0111), rel=0.01
+    )
     for part, changes in PARTS.items():
         assert scenes[f"whole without {part}"].model_copy(update=changes) == scenes["whole"]
         assert len({scenes[part], scenes[f"whole without {part}"], scenes["study"], scenes["whole"]}) == 4

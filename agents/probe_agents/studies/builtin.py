@@ -65,7 +65,7 @@ BUILT_IN: Final[dict[str, BuiltIn]] = {
         "stability.run", "Which time steps are stable, by method, stiffness and length?", {"assumptions": None}
     ),
     "effects": BuiltIn(
-        "effects.run", "What does each part of the whole model that the study leaves out change and cost?",
+        "effects.run", "What do the parts of the whole model that the study leaves out, and further effects, change?",
         {"trials": Count("members of each setting", 1000)},
     ),
     "predictability": BuiltIn(

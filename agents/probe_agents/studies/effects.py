@@ -1,4 +1,4 @@
-"""What each part of the whole model that the study leaves out changes and costs: alone, and left out of the whole."""
+"""What parts of the whole model change and cost, alone and left out of the whole, and what further effects would."""
 
 import time
 from dataclasses import dataclass
@@ -28,7 +28,17 @@ PARTS: Final[dict[str, dict[str, Any]]] = {
 }
 """Changes of a scene of the study."""
 ALONE: Final = {"study": (), **{part: (part,) for part in PARTS}, "whole": tuple(PARTS)}
-MODELS: Final = ALONE | {f"whole without {part}": tuple(other for other in PARTS if other != part) for part in PARTS}
+EFFECTS: Final[dict[str, dict[str, Any]]] = {
+    "restitution 0.9": {"contact": {"damping": 2.2}},  # c = 2 z sqrt(k m), z = -ln e / sqrt(pi^2 + ln^2 e)
+    "restitution 0.7": {"contact": {"damping": 7.5}},
+    "friction slope -0.1": {"contact": {"friction_slope": -0.1}},
+    "friction slope 0.1": {"contact": {"friction_slope": 0.1}},
+    "feed ripple 0.01": {"feed_ripple": 0.01},
+}
+"""Further effects, off by default: low and high ends of plausible ranges, as changes of the whole model."""
+CHANGES: Final = PARTS | EFFECTS
+LEFT_OUT: Final = {f"whole without {part}": tuple(other for other in PARTS if other != part) for part in PARTS}
+MODELS: Final = ALONE | LEFT_OUT | {f"whole with {effect}": (*PARTS, effect) for effect in EFFECTS}
 """Name of a model -> its parts."""
 FRICTIONS, AIRS = (0.1, 0.175, 0.25), (40.0, 63.0, 120.0)  # [-], [m3/h]
 LENGTHS: Final = (5.0, 7.5, 10.0, 12.5, 15.0, 20.0, 30.0, 40.0, 50.0)
@@ -52,7 +62,7 @@ class Effect(Run):
         contact, rate = {"friction": self.friction}, air / 3600.0
         scene = Scene.model_validate({"carrier_length": self.length, "contact": contact, "air_supply_rate": rate})
         for part in MODELS[self.model]:
-            scene = scene.model_copy(update=PARTS[part])
+            scene = scene.model_copy(update=CHANGES[part])
         return scene
 
     def rows(self) -> list[dict[str, Any]]:

@@ -77,12 +77,13 @@ def steady_tensions(scene: Scene, weight: float | None = None) -> FloatArray:
     drags = chain.drag[:-1][floats] * relative * abs(relative)
     drags *= drag_factors(scene, edges, scene.inserted_length, scene.feed_speed, exit_speed)
     forward = 1.0 if scene.feed_speed >= 0.0 else -1.0
+    coefficient = scene.contact.friction_at(scene.feed_speed)
     tension, tensions = 0.0, []
     for drag, lever in zip(drags, chain.lever[:-1][floats], strict=True):
         side = 1.0 if (tension or drag) >= 0.0 else -1.0
-        mu = chain.friction * (1.0 - side * lever / radius) * side * forward
+        mu = coefficient * (1.0 - side * lever / radius) * side * forward
         if weight > 0.0:
-            friction = forward * chain.friction
+            friction = forward * coefficient
             tension = _tension_behind(tension, drag / pitch, 1.0, 0.0, pitch, friction, lever / radius, radius, weight)
         elif mu == 0.0:
             tension += drag

@@ -40,15 +40,18 @@ def check_step(method: Method, time_step: float) -> None:
 
 def check_scene(method: Method, scene: Scene) -> None:
     """Raise ValueError if a method does not simulate an option of a scene."""
-    options: tuple[tuple[str, bool, Callable[[Method], bool]], ...] = (
+    options: tuple[tuple[str, float, Callable[[Method], bool]], ...] = (
         ("air.compressible", scene.air.compressible, lambda other: other.simulates_expansion),
+        ("contact.damping", scene.contact.damping, lambda other: other.simulates_damping),
+        ("contact.friction_slope", scene.contact.friction_slope, lambda other: other.simulates_damping),
         ("contact.weight", scene.contact.weight, lambda other: other.simulates_weight),
         ("terms.shortening", scene.terms.shortening, lambda other: other.simulates_terms),
         ("terms.stiction", scene.terms.stiction, lambda other: other.simulates_terms),
     )
     for option, used, able in options:
         if used and not able(method):
-            raise ValueError(f"{option} = true: {method.name} does not simulate it; use {method_names(able)}")
+            value = str(used).lower()
+            raise ValueError(f"{option} = {value}: {method.name} does not simulate it; use {method_names(able)}")
 
 
 def method_names(condition: Callable[[Method], bool]) -> str:

@@ -24,7 +24,7 @@ def explicit_advance(
     zero = splat(parameters, 0.0)
     delta = load(parameters, layout.DAMPING)
     kappa, couple = load(parameters, layout.CURVATURE), load(parameters, layout.COUPLE)
-    floats, wall = imex.load_floats(parameters), imex.load_wall(parameters)
+    floats, wall = imex.load_floats(parameters), imex.load_wall(parameters, ())
     compressed_couple, cable = imex.load_compressed(parameters)
     walls = imex.cable_walls(imex.float_at(0, floats), cable)
     cosine, sine, axial = load(parameters, layout.COS), load(parameters, layout.SIN), load(parameters, layout.AXIAL)
@@ -57,7 +57,7 @@ def explicit_advance(
                     ax, ay, at = ax + cx, ay + cy, at - ct
             if to_float == 0:
                 to_float = per_pitch
-                cx, cy, ct = imex.float_forces(imex.float_at(i, floats), wall, forward, air, y, forward, vt)
+                cx, cy, ct = imex.float_forces(imex.float_at(i, floats), wall, forward, air, y, vy, forward, vt)
                 ax, ay, at = ax + cx, ay + cy, at - ct
                 height = imex.magnitude(y)
                 peak = where_less(peak, height, height, peak)

@@ -43,6 +43,7 @@ from probe_env.physics.methods.lanes import (
 from probe_env.physics.methods.ticm import LEAVING
 from probe_env.physics.model.drive import AIR, APPEND, INPUTS, SLOPE, SPEED
 from probe_env.physics.model.state import DIVERGED_RADIAL
+from probe_env.scene import FRICTION_SPEED
 
 SLOW = 2e-2
 """Sliding velocity [m/s] from which on friction is mu N against it at once, see ``held_forces``."""
@@ -147,10 +148,12 @@ def solve_node(state, q, factors, f, wx, wy, wt):
 
 
 @traced
-def move_node(state, q, wx, wy, wt, drift, bounce, reflection):
+def move_node(state, q, wx, wy, wt, drift, bounce, reflection, damped):
     """Update the displacement of a node from w; returns its velocity."""
     ux, uy, ut = wx - load(state, q + layout.X), wy - load(state, q + layout.Y), wt - load(state, q + layout.T)
     store(state, q + layout.GX, ux)  # motion of the last step, for the direction of friction
+    if len(damped) > 0:
+        store(state, q + layout.GY, uy)
     store(state, q + layout.GT, ut)
     store(state, q + layout.X, load(state, q + layout.X) + drift * ux)
     store(state, q + layout.Y, load(state, q + layout.Y) + drift * uy)
@@ -211,9 +214,10 @@ def compressed_forces(kappa, coupling, forward, vy, x, t, axial_force, dt):
 
 
 @traced
-def load_wall(parameters):
-    """Contact stiffness, coefficient of friction and mass per inertia of the lanes."""
-    return load(parameters, layout.STIFFNESS), load(parameters, layout.FRICTION), load(parameters, layout.MASS_RATIO)
+def load_wall(parameters, damped):
+    """Contact stiffness, coefficient of friction and mass per inertia of the lanes; damping and slope of friction."""
+    wall = load(parameters, layout.STIFFNESS), load(parameters, layout.FRICTION), load(parameters, layout.MASS_RATIO)
+    return wall + tuple(load(parameters, row) for row in (layout.DASHPOT, layout.FRICTION_SLOPE)[: 2 * len(damped)])
 
 
 @traced
@@ -243,53 +247,75 @@ def float_at(i, floats):
 
 
 @traced
-def float_forces(float_, wall, forward, air, y, slide, turn):
+def damped_contact(wall, depth, inwards, slip):
+    """Normal force of a float at a depth in a wall, into which it moves, and its coefficient of friction at a slip."""
+    stiffness, coefficient, _, damping, slope = wall
+    zero = splat(depth, 0.0)
+    push = multiply_add(damping, inwards, stiffness * depth)
+    normal = where_less(zero, depth, where_less(zero, push, push, zero), zero)
+    coefficient = multiply_add(slope, magnitude(slip) - FRICTION_SPEED, coefficient)
+    return normal, where_less(zero, coefficient, coefficient, zero)
+
+
+@traced
+def float_forces(float_, wall, forward, air, y, vy, slide, turn):
     """Drag, contact and friction of a float, (10)-(12) with both walls: x and y per mass, moment per inertia."""
     lever, gap, drag = float_
-    stiffness, coefficient, ratio = wall
+    stiffness, coefficient, ratio = wall[:3]
     zero = splat(y, 0.0)
     relative = air - forward
     inner = where_less(y, zero, zero - y, zero)  # depth in the inner and in the outer wall
     beyond = y - gap
     outer = where_less(zero, beyond, beyond, zero)
     lever = where_less(y, zero, lever, zero - lever)  # of the contact point
+    slip, push = slide + turn * lever, stiffness * (inner - outer)
     maximum = coefficient * stiffness * (inner + outer)
-    friction = where_less(
-        slide + turn * lever, zero, zero - maximum, maximum
-    )  # against the slide; zero counts as forward
-    return drag * relative * magnitude(relative) - friction, stiffness * (inner - outer), friction * lever * ratio
+    if len(wall) > 3:
+        normal, coefficient = damped_contact(wall, inner + outer, where_less(y, zero, zero - vy, vy), slip)
+        maximum, push = coefficient * normal, where_less(y, zero, normal, zero - normal)
+    friction = where_less(slip, zero, zero - maximum, maximum)  # against the slide; zero counts as forward
+    return drag * relative * magnitude(relative) - friction, push, friction * lever * ratio
 
 
 @traced
-def weight_friction(float_, wall, weight, forward, y):
+def weight_friction(float_, wall, weight, forward, y, vy):
     """Friction of a float beyond mu N, along the tube: mu (sqrt(N^2 + w^2) - N).
 
     Its moment remains that of mu N, because the contact point moves out of the plane.
     """
     _, gap, _ = float_
-    stiffness, coefficient, _ = wall
+    stiffness, coefficient, _ = wall[:3]
     zero = splat(y, 0.0)
     beyond = y - gap
-    normal = stiffness * (where_less(y, zero, zero - y, zero) + where_less(zero, beyond, beyond, zero))
+    depth = where_less(y, zero, zero - y, zero) + where_less(zero, beyond, beyond, zero)
+    normal = stiffness * depth
+    if len(wall) > 3:
+        normal, coefficient = damped_contact(wall, depth, where_less(y, zero, zero - vy, vy), forward)
     more = coefficient * (square_root(multiply_add(normal, normal, weight * weight)) - normal)
     return where_less(forward, zero, zero - more, more)
 
 
 @traced
-def held_forces(float_, wall, weighed, friction, forward, air, y, slide, turn, held):
+def held_forces(float_, wall, weighed, friction, forward, air, y, vy, slide, turn, held):
     """``float_forces`` with friction that also holds at rest, by a spring that yields at mu N; also the friction.
 
     R = R_before + k_t slip dt, at most mu N; with a weight w across the plane mu sqrt(N^2 + w^2), of which at most mu N
     turns the float, because the contact point moves out of the plane. From ``SLOW`` on R has its maximum at once.
     ``friction`` is w and k_t dt, ``held`` is R_before; ``weighed`` is an empty tuple if weight is neglected.
     """
-    (lever, gap, drag), (stiffness, coefficient, ratio), (weight, grip) = float_, wall, friction
+    (lever, gap, drag), (stiffness, coefficient, ratio), (weight, grip) = float_, wall[:3], friction
     zero = splat(y, 0.0)
     relative = air - forward
     beyond = y - gap
     inner, outer = where_less(y, zero, zero - y, zero), where_less(zero, beyond, beyond, zero)
     lever = where_less(y, zero, lever, zero - lever)
-    total = normal = stiffness * (inner + outer)
+    total, push = stiffness * (inner + outer), stiffness * (inner - outer)
+    if len(wall) > 3:
+        total, coefficient = damped_contact(
+            wall, inner + outer, where_less(y, zero, zero - vy, vy), slide + turn * lever
+        )
+        push = where_less(y, zero, total, zero - total)
+    normal = total
     if len(weighed) > 0:
         total = square_root(multiply_add(normal, normal, weight * weight))
         lever = where_less(zero, normal, lever, zero)
@@ -302,7 +328,7 @@ def held_forces(float_, wall, weighed, friction, forward, air, y, slide, turn, h
     if len(weighed) > 0:
         arm = where_less(held, turning, held, turning)
         arm = where_less(zero - turning, arm, arm, zero - turning)
-    return drag * relative * magnitude(relative) - held, stiffness * (inner - outer), arm * lever * ratio, held
+    return drag * relative * magnitude(relative) - held, push, arm * lever * ratio, held
 
 
 @traced
@@ -383,7 +409,7 @@ def to_root(state, memory, factors, nodes, drive, rates, model, coupling, compre
     roots, EA / 2 and cosine and sine of the frame angle over the mass.
     """
     top, _, last, per_pitch = nodes
-    weighed, varied, shortened, sticking = options
+    weighed, varied, shortened, sticking, _ = options
     drags, friction, (held, rigidity, cosine, sine) = terms
     speed, slope, air = drive
     dt, tau, rate = rates
@@ -426,19 +452,20 @@ def to_root(state, memory, factors, nodes, drive, rates, model, coupling, compre
         if to_float == 0:
             to_float = per_pitch
             slide, turn = speed + load(state, q + layout.GX) / tau, load(state, q + layout.GT) / tau
+            rise = load(state, q + layout.GY) / tau  # stored if contact is damped
             float_ = float_at(i, floats)
             if len(varied) > 0:
                 float_ = float_[0], float_[1], load(drags, i // per_pitch)
             if len(sticking) > 0:
                 at_held = i * layout.MEMORY + layout.HELD
                 cx, cy, ct, grip = held_forces(
-                    float_, wall, weighed, friction, forward, air, y, slide, turn, load(memory, at_held)
+                    float_, wall, weighed, friction, forward, air, y, rise, slide, turn, load(memory, at_held)
                 )
                 store(memory, at_held, grip)
             else:
-                cx, cy, ct = float_forces(float_, wall, forward, air, y, slide, turn)
+                cx, cy, ct = float_forces(float_, wall, forward, air, y, rise, slide, turn)
                 if len(weighed) > 0:
-                    cx = cx - weight_friction(float_, wall, friction[0], slide, y)
+                    cx = cx - weight_friction(float_, wall, friction[0], slide, y, rise)
             ax, ay, at = ax + cx, ay + cy, at - ct
             height = magnitude(y)
             peak = where_less(peak, height, height, peak)
@@ -473,7 +500,7 @@ def imex_advance(
     rate = 1.0 / tau
     drift, bounce, reflection = dt / tau, 1.0 / (tau * theta), (1.0 - theta) / theta
     kappa, couple = load(parameters, layout.CURVATURE), load(parameters, layout.COUPLE)
-    floats, wall = load_floats(parameters), load_wall(parameters)
+    floats, wall = load_floats(parameters), load_wall(parameters, options[4])
     coupling = load_compressed(parameters)
     low, high = nearest_walls(floats, coupling[1])
     rates, model = (dt, tau, rate), (kappa, couple, floats, wall)
@@ -507,7 +534,7 @@ def imex_advance(
             ut = where_less(node, held, ut, load(state, q + layout.T))
             store(state, q + layout.V, where_less(node, held, cosine * (ux - wx) + sine * (uy + wy), zero))
             wx, wy, wt = ux, uy, ut
-            vx, vy, vt = move_node(state, q, ux, uy, ut, drift, bounce, reflection)
+            vx, vy, vt = move_node(state, q, ux, uy, ut, drift, bounce, reflection, options[4])
             store(state, q + layout.VX, where_less(node, held, vx, zero))
             store(state, q + layout.VY, where_less(node, held, vy, zero))
             store(state, q + layout.VT, where_less(node, held, vt, zero))
@@ -519,7 +546,7 @@ def imex_advance(
             ux, uy, ut = solve_node(state, q, factors, min(i, last) * layout.FACTORS + layout.C, wx, wy, wt)
             store(state, q + layout.V, cosine * (ux - wx) + sine * (uy + wy))
             wx, wy, wt = ux, uy, ut
-            vx, vy, vt = move_node(state, q, ux, uy, ut, drift, bounce, reflection)
+            vx, vy, vt = move_node(state, q, ux, uy, ut, drift, bounce, reflection, options[4])
             store3(state, q + layout.VX, vx, vy, vt)
             if len(compressed) > 1:
                 minimum, maximum = extended_range(minimum, maximum, load(state, q + layout.Y))
@@ -536,6 +563,7 @@ class Imex(layout.NodeLanes):
     name = "imex"
     order = 2
     usual_step = 2e-4
+    simulates_damping = True
     kernel = staticmethod(imex_advance)
     factors = staticmethod(imex_factors)
 

@@ -24,9 +24,9 @@ from probe_env.physics.model.drive import APPEND, INPUTS
 (
     ROOT, SENSOR, CURVATURE, STIFFNESS, FRICTION, GUIDE_DRAG, CARRIER_DRAG, GUIDE_LEVER, CARRIER_LEVER,
     GUIDE_GAP, CARRIER_GAP, COS, SIN, AXIAL, COUPLE, MASS_RATIO, DAMPING, PEAK, TURN, TURN_FORCE, CABLE, CABLE_RADIUS,
-    PRESSURE, TENSION, WEIGHT, GRIP, STRETCH, MASS,
-) = range(28)  # fmt: skip
-PARAMETERS = 28
+    PRESSURE, TENSION, WEIGHT, GRIP, STRETCH, MASS, DASHPOT, FRICTION_SLOPE,
+) = range(30)  # fmt: skip
+PARAMETERS = 30
 # fields of a node, rows of its state: displacement, velocity, partial solution, axial force
 X, Y, T, VX, VY, VT, GX, GY, GT, V = range(10)
 FIELDS = 10
@@ -95,7 +95,7 @@ class NodeLanes(LaneMethod):
         """Parameters and factors of a probe, and the drag per mass of each float if it differs, see ``own_drag``."""
         self.check_chain(chain, sensor, nodes_per_pitch)
         values = lane_parameters(chain, sensor, nodes_per_pitch)
-        values[WEIGHT] /= chain.mass
+        values[[WEIGHT, DASHPOT]] /= chain.mass
         if chain.stiction:
             lever = float(chain.lever[:-1].max())
             point = 1.0 / (1.0 + lever**2 * chain.mass / chain.inertia)  # mass of the point of contact over the node's
@@ -123,7 +123,7 @@ class NodeLanes(LaneMethod):
         rows = max(len(lane.constants[1]) for lane in lanes)
         packed_factors = np.zeros((rows, FACTORS, width), dtype=precision)
         packed = np.zeros((nodes, FIELDS, width), dtype=precision)
-        weighed, shortened, sticking = options_of(lanes[0].constants[0])
+        weighed, shortened, sticking, damped = options_of(lanes[0].constants[0])
         memory = np.zeros((nodes if shortened or sticking else 0, MEMORY, width), dtype=precision)
         for k, lane in enumerate(lanes):
             probe, factors = lane.state, lane.constants[1]
@@ -143,7 +143,7 @@ class NodeLanes(LaneMethod):
             drags[:, k] = float_drags(lane.constants[0], lane.constants[2], np.arange(nodes) * per_pitch)
         begin = time.perf_counter()
         self.kernel(
-            parameters, compressed, (weighed, varied, shortened, sticking), drags,
+            parameters, compressed, (weighed, varied, shortened, sticking, damped), drags,
             packed_factors.reshape(-1, width), packed.reshape(-1, width), memory.reshape(-1, width),
             group.inputs.reshape(-1, width), held[:-1].max(axis=1), held[:-1].min(axis=1), time_step, per_pitch,
             (first_sample, sample_every, group.points, samples, tension), roots, group.failed,
@@ -168,7 +168,7 @@ class LaneGroup(NamedTuple):
     """Arguments of a kernel for a group of probes in ``width`` lanes; idle lanes are marked in ``failed``.
 
     Attributes:
-        parameters: (28, width), see ``lane_parameters``; ``ROOT`` is the held node.
+        parameters: (30, width), see ``lane_parameters``; ``ROOT`` is the held node.
         inputs: (steps, 4, width), see model/drive.py.
         points: (p, width) sampled nodes, -1 for the root.
         roots: (width,) held nodes.
@@ -215,8 +215,9 @@ class LaneGroup(NamedTuple):
 
 
 def options_of(parameters: FloatArray) -> tuple[tuple[int, ...], ...]:
-    """Options of the kernels for weight, shortening and held friction: tuples that are empty or not."""
-    return tuple((0,) * bool(parameters[row] > 0.0) for row in (WEIGHT, STRETCH, GRIP))
+    """Options of the kernels for weight, shortening, held friction and damping: tuples that are empty or not."""
+    groups = (WEIGHT, STRETCH, GRIP, [DASHPOT, FRICTION_SLOPE])
+    return tuple((0,) * bool(np.any(parameters[rows] != 0.0)) for rows in groups)
 
 
 def own_drag(chain: Chain, sensor: int, nodes_per_pitch: int) -> FloatArray | None:
@@ -236,7 +237,7 @@ def float_drags(parameters: FloatArray, drag: FloatArray | None, places: npt.NDA
 
 
 def lane_parameters(chain: Chain, sensor: int, nodes_per_pitch: int) -> FloatArray:
-    """(28,) parameters of a lane; ``ROOT`` and ``PEAK`` are set in each run, ``GRIP`` by the method."""
+    """(30,) parameters of a lane; ``ROOT`` and ``PEAK`` are set in each run, ``GRIP`` by the method."""
     carrier = min((sensor // nodes_per_pitch + 1) * nodes_per_pitch, len(chain.drag) - 1)
     values = np.zeros(PARAMETERS)
     values[SENSOR] = sensor
@@ -257,4 +258,5 @@ def lane_parameters(chain: Chain, sensor: int, nodes_per_pitch: int) -> FloatArr
     values[WEIGHT] = chain.float_weight
     values[STRETCH] = 0.5 * chain.element_length / chain.axial_compliance if chain.span else 0.0
     values[MASS] = chain.mass
+    values[[DASHPOT, FRICTION_SLOPE]] = chain.contact_damping, chain.friction_slope
     return values

@@ -60,6 +60,7 @@ class Method(ABC):
         simulates_expansion: whether the drag may differ between equal floats, as in compressible air.
         simulates_weight: whether weight adds to friction.
         simulates_terms: whether bending may shorten the cable and friction hold at rest, see ``scene.Terms``.
+        simulates_damping: whether contact may be damped, and friction depend on the sliding speed.
     """
 
     name: str
@@ -74,6 +75,7 @@ class Method(ABC):
     simulates_expansion: bool = True
     simulates_weight: bool = True
     simulates_terms: bool = True
+    simulates_damping: bool = False
 
     @property
     def width(self) -> int:
@@ -92,11 +94,12 @@ class Method(ABC):
 
     def stable_step(self, scene: Scene, nodes_per_pitch: int) -> float:
         """Largest step [s] known to be stable; 0 if none is known, as for methods that were not measured."""
-        return stability.known_step(scene, nodes_per_pitch) if self.name in stability.MEASURED else 0.0
+        known = stability.known_step(scene, nodes_per_pitch) if self.name in stability.MEASURED else 0.0
+        return stability.damped_step(known, scene)
 
     def contact_step(self, scene: Scene, nodes_per_pitch: int) -> float:
         """Largest step [s] that contact allows for any damping and mesh; larger steps diverge."""
-        return stability.contact_step(scene, nodes_per_pitch)
+        return stability.damped_step(stability.contact_step(scene, nodes_per_pitch), scene)
 
     def at_rest(self, chain: Chain, nodes_per_pitch: int, time_step: float, root: int, d: FloatArray) -> State:
         """A state at rest with displacements d (n + 1, 3) [m, rad] of a chain held at ``root``."""

@@ -49,6 +49,15 @@ def known_step(scene: Scene, nodes_per_pitch: int) -> float:
     return 0.0
 
 
+def damped_step(step: float, scene: Scene) -> float:
+    """A stable step [s] with the damping of the contact, whose force lags a step: omega dt < 2 (sqrt(1 + z^2) - z).
+
+    z = c omega / 2 k is the damping ratio, with the omega that limits the step without damping.
+    """
+    ratio = 0.5 * FULL * scene.contact.damping / (scene.contact.stiffness * step) if step else 0.0
+    return step * (math.hypot(1.0, ratio) - ratio)
+
+
 def explicit_step(scene: Scene, nodes_per_pitch: int) -> float:
     """Largest stable step [s] of ``explicit``."""
     return EXPLICIT_MARGIN * explicit_time_step(build_chain(scene, nodes_per_pitch))

@@ -41,6 +41,8 @@ class Chain(NamedTuple):
     couple_turn: float  # curvature if the couple counts from the tangent of the tube, else 0
     span: int  # elements between floats, whose bending shortens them; 0 neglects it
     friction: float
+    friction_slope: float  # [s/m]
+    contact_damping: float  # [N s/m]
     stiction: bool  # whether friction holds at rest
     float_weight: float  # of a pitch of cable, across the plane [N]; 0 neglects it
     cable_radius: float  # d_c / 2, for contact of the cable
@@ -95,6 +97,8 @@ def build_chain(scene: Scene, nodes_per_pitch: int = 4, length: float | None = N
         couple_turn=curvature if scene.couple == "tangent" else 0.0,
         span=nodes_per_pitch if scene.terms.shortening else 0,
         friction=contact.friction,
+        friction_slope=contact.friction_slope,
+        contact_damping=contact.damping,
         stiction=scene.terms.stiction,
         float_weight=probe.line_density * probe.float_pitch * GRAVITY if contact.weight else 0.0,
         cable_radius=probe.cable_diameter / 2.0,

@@ -85,7 +85,8 @@ def advance_group(simulators: Sequence[Simulator], samples: Sequence[Samples], d
         for s, record in running:
             room, spare = s.chain.node_count - 1 - s.root, max(s.root - s.sensor - nodes_per_pitch, 0)
             constants = s.constants_in_air()
-            inputs = s.drive.inputs_of_steps(count, time_step, s.chain.element_length, room, spare)
+            ripple = s.scene.feed_ripple, s.scene.ripple_length
+            inputs = s.drive.inputs_of_steps(count, time_step, s.chain.element_length, room, spare, ripple)
             rows, points = record.rows[first // every : (first + count) // every], record.points  # filled in this call
             if entrance:  # and the node ahead of the root
                 points, rows = np.append(points, ROOT - 1), np.zeros((len(rows), len(points) + 1, CHANNELS))

@@ -23,7 +23,7 @@ from probe_env.physics.methods.lane_group import (
     own_drag,
 )
 from probe_env.physics.methods.method import KernelArguments, Method
-from probe_env.physics.methods.stability import TABLE_2_DAMPING
+from probe_env.physics.methods.stability import TABLE_2_DAMPING, damped_step
 from probe_env.physics.methods.superelement.kernel import (
     HELD,
     MODES,
@@ -192,6 +192,7 @@ class Superelement(LaneMethod):
     memory = MEMORY
     on_nodes = False
     simulates_withdrawal = False
+    simulates_damping = True
     kernel = staticmethod(superelement_advance)
     single: Callable[..., Any] = staticmethod(superelement_advance_single)
 
@@ -204,11 +205,11 @@ class Superelement(LaneMethod):
         """Largest step [s] known to be stable; 0 for a cable with less damping than in the study."""
         damped = scene.probe.damping_time >= TABLE_2_DAMPING
         step = max_step(build_chain(scene, nodes_per_pitch), nodes_per_pitch, STABLE)
-        return min(step, MAX_STEP) if damped else 0.0
+        return damped_step(min(step, MAX_STEP), scene) if damped else 0.0
 
     def contact_step(self, scene: Scene, nodes_per_pitch: int) -> float:
         """Largest step [s] that explicit contact allows."""
-        return max_step(build_chain(scene, nodes_per_pitch), nodes_per_pitch, UNSTABLE)
+        return damped_step(max_step(build_chain(scene, nodes_per_pitch), nodes_per_pitch, UNSTABLE), scene)
 
     def at_rest(self, chain: Chain, nodes_per_pitch: int, time_step: float, root: int, d: FloatArray) -> State:
         """A state at rest with displacements d (n + 1, 3) [m, rad]; q is a least-squares fit, p is zero.
@@ -292,8 +293,8 @@ class Superelement(LaneMethod):
         drags = np.zeros((rows if varied else 0, width), dtype=precision)
         for k, lane in enumerate(lanes if varied else ()):
             drags[:, k] = float_drags(lane.constants[0], lane.constants[2], np.arange(rows))
-        weighed, shortened, sticking = options_of(lanes[0].constants[0])
-        options = weighed, (0,) * varied, shortened, sticking
+        weighed, shortened, sticking, damped = options_of(lanes[0].constants[0])
+        options = weighed, (0,) * varied, shortened, sticking, damped
         stacked = root_tables(members, group.parameters[layout.DAMPING], time_step, even, odd, last + 1)
         constants = np.zeros(((1 + width) * CONSTANTS, width), dtype=precision)
         factors = np.zeros(((last + 1 + width) * FACTORS, width), dtype=precision)

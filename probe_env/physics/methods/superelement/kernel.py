@@ -309,16 +309,16 @@ def float_kick(constants, c, state, q, float_, wall, options, friction, curvatur
     weighed, sticking = options
     if len(sticking) > 0:
         cx, cy, ct, held = held_forces(
-            float_, wall, weighed, friction, forward, air, y, forward, load(state, q + VT), load(state, q + HELD)
+            float_, wall, weighed, friction, forward, air, y, vy, forward, load(state, q + VT), load(state, q + HELD)
         )
         store(state, q + HELD, held)
     else:
-        cx, cy, ct = float_forces(float_, wall, forward, air, y, vx + speed, load(state, q + VT))
+        cx, cy, ct = float_forces(float_, wall, forward, air, y, vy, vx + speed, load(state, q + VT))
     mass = behind + load(constants, c + offset.HALF_MASS)
     turn = mass * curvature * forward
     cx = cx - 2.0 * turn * vy - mass * slope
     if len(weighed) > 0 and len(sticking) == 0:
-        cx = cx - weight_friction(float_, wall, friction[0], forward, y)
+        cx = cx - weight_friction(float_, wall, friction[0], forward, y, vy)
     return cx, cy + turn * forward, ct
 
 
@@ -450,20 +450,20 @@ def superelement_advance(
     the piece behind it. The lengths of the two tuples ``modes`` are the numbers of even and odd modes; numba compiles a
     kernel without loops for each length. Likewise ``options``, tuples that are empty or not: whether weight adds to
     friction, whether float i has the drag ``drags[i]`` (rows, lanes) instead of that of guide or carrier, whether
-    bending shortens the cable, and whether friction holds at rest. ``tops``
+    bending shortens the cable, whether friction holds at rest, and whether contact is damped. ``tops``
     and ``bottoms`` (steps,) are the last floats of the longest and of the shortest probe.
     """
     assign_roots(tables, constants, factors, at, last, roots)
     zero = splat(parameters, 0.0)
     evens, odds = modes
-    weighed, varied, shortened, sticking = options
+    weighed, varied, shortened, sticking, damped = options
     even, odd = len(evens), len(odds)
     fields = MODES + 2 * (even + odd)
     theta, tau = linear_weights(load(parameters, DAMPING), dt)
     before, now, weight = tau - dt, tau, theta * dt  # p = (p* + before K d_before) - now K d
     curvature, limit = load(parameters, CURVATURE), load(parameters, TENSION)
     friction = load(parameters, WEIGHT), load(parameters, GRIP)
-    floats, wall = load_floats(parameters), load_wall(parameters)
+    floats, wall = load_floats(parameters), load_wall(parameters, damped)
     pitch_half = load(constants, offset.HALF_MASS)
     for step in range(len(tops)):
         k = step * INPUTS

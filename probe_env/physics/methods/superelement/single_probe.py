@@ -107,7 +107,7 @@ def superelement_advance_single(
     """Advance one probe that is held at ``root``; see ``kernel.superelement_advance``.
 
     Args:
-        parameters: (28, lanes) of the probe, equal in all lanes.
+        parameters: (30, lanes) of the probe, equal in all lanes.
         constants: (2 CONSTANTS, lanes) of a pitch, and of the block with the root.
         factors: ((blocks + 1) E_SIZE, lanes) E of the floats; further floats use the last block but one; last: root.
         links: (2, k + 1, 9) F and U of the floats; further floats use the last row but one; last: root.
@@ -133,9 +133,9 @@ def superelement_advance_single(
     theta, tau = linear_weights(load(parameters, DAMPING), dt)
     before, now, weight = tau - dt, tau, theta * dt  # p = (p* + before K d_before) - now K d
     curvature, limit = load(parameters, CURVATURE), load(parameters, TENSION)
-    weighed, shortened, sticking = options
+    weighed, shortened, sticking, damped = options
     friction = load(parameters, WEIGHT), load(parameters, GRIP)
-    wall = load_wall(parameters)
+    wall = load_wall(parameters, damped)
     held = len(to_root) - 1
     assign_root(tables, constants, factors, links, root)
     for step in range(len(inputs)):

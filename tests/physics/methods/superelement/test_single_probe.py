@@ -44,7 +44,8 @@ def test_single_equals_grouped(method, length, stiffness, terms):
     """Held, and fed in over floats and blocks of them: state, samples at and between floats, sums of tension."""
     scene = Scene(
         carrier_length=length, feed_speed=0.4, probe={"guide_length": 0.5},
-        contact={"stiffness": stiffness, "weight": terms}, terms={"shortening": terms, "stiction": terms},
+        contact={"stiffness": stiffness, "weight": terms, "damping": 3.0 * terms, "friction_slope": 0.1 * terms},
+        terms={"shortening": terms, "stiction": terms},
         couple="tangent" if terms else "frame",
     )  # fmt: skip
     for options in ({}, {"growing": True, "time_lapse": 80.0}):
