@@ -223,6 +223,8 @@ NOTICEABLE: Final = 0.1
 MIN_PEAK: Final = 1e-6
 """Minimum amplitude of a noticeable peak [m]: a hundredth of the vibration limit."""
 TUBE_BORE: Final = 24.2e-3  # [m]
+ABOUT: Final = 0.1
+"""Relative deviation that "about" allows: the study gives a frequency of two digits."""
 
 Test = Callable[[FloatArray, FloatArray], str]
 
@@ -301,9 +303,9 @@ class Claim(NamedTuple):
     test: Test
 
 
-def _sharpest(e: Ensemble) -> Test:
+def _sharpest(e: Ensemble, statistic: str = RADIAL) -> Test:
     """On the linear axes of figure 11: the rise from 30 to 40 m is more than that before and not less than the next."""
-    before, start, end, after = (e.values(f"l{length}", RADIAL) for length in (20, 30, 40, 50))
+    before, start, end, after = (e.values(f"l{length}", statistic) for length in (20, 30, 40, 50))
     return lambda *_: "later" if greater(after + start, 2.0 * end) else less(2.0 * start, before + end, "earlier")
 
 
@@ -337,6 +339,18 @@ def _insertion(e: Ensemble) -> Iterator[Claim]:
     for case in ("l50-dt2e-4", "l50-dt5e-4"):
         yield Claim("diverges above a step of 1e-4 s", "-", case, "l50", "diverged", _if(lambda a, _: bool(a.all())))
     yield Claim("only the inner wall is touched", "5", "l50-inner", TUBE_BORE, "tip_radial_max_m", more)
+
+
+def _experiment(e: Ensemble) -> Iterator[Claim]:
+    """What the study's experiment measured by acceleration, (c) and (f); the rest of it is in the other claims."""
+    about = _if(lambda a, b: bool(abs(a.mean() / b.mean() - 1.0) <= ABOUT))
+    for length in (30, 55):
+        yield Claim("a peak at about 20 Hz", "(c)", f"l{length}", 20.0, "axial_peak_hz", about)
+    if e.has(*(f"l{length}" for length in GROWTH)):
+        sharpest = _sharpest(e, ACCELERATION)
+        yield Claim("it rises sharply after the middle of the helix", "(c)", "l40", "l30", ACCELERATION, sharpest)
+    for claim, case in (("less at 0.1 m/s", "u100"), ("less in a helix of 2.5 m", "dh2500")):
+        yield Claim(claim, "(f)", case, "l50", ACCELERATION, less)
 
 
 def _return(e: Ensemble) -> Iterator[Claim]:
@@ -374,7 +388,7 @@ def claims_of(table: pd.DataFrame) -> pd.DataFrame:
     """
     e = Ensemble(table)
     rows = []
-    for claim in (*_insertion(e), *_return(e)):
+    for claim in (*_insertion(e), *_experiment(e), *_return(e)):
         cases = [case for case in (claim.case, claim.reference) if isinstance(case, str)]
         if e.has(*cases):
             values = e.values(claim.case, claim.statistic)
