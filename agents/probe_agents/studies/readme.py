@@ -27,10 +27,9 @@ POLICIES: Final = {
     "constant": "0.2 m/s and 63 m³/h, as in the study",
     "pi": "PI control of the measured vibration",
     "best-schedule": "best schedule over length for all training tubes",
+    "tension-scheduled": "best schedule on the vibration map for the friction estimated from the root tension",
     "plc-integral": "PLC law with integral action: length, root tension and noise in, feed and air out",
     "ppo": "PPO, five training seeds",
-    "student": "networks that imitate `plc-integral`, five training seeds",
-    "planner": "model-predictive control on a copy of the simulator: an upper bound for feedback",
 }
 COLUMNS: Final = {
     "reward": ("reward", 1.0, ".1f"),
