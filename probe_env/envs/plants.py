@@ -337,7 +337,12 @@ class Plant(Model):
     @model_validator(mode="before")
     @classmethod
     def _takes_lists(cls, plant: Any) -> Any:
-        return tuples(plant) if isinstance(plant, Mapping) else plant
+        if not isinstance(plant, Mapping):
+            return plant
+        for table, name in (("air", "compressible"), ("contact", "weight")):
+            if isinstance(plant.get(table), Mapping) and name in plant[table]:
+                raise ValueError(f"{table}.{name}: is set for all terms by assumptions = 'whole' (default) or 'study'")
+        return tuples(plant)
 
     @model_validator(mode="after")
     def _is_possible(self) -> Self:

@@ -71,7 +71,7 @@ def check_simulable(scene: Scene, fidelity: Fidelity, max_length: float, max_air
         ) from error
     if fidelity.time_step > limit * (1.0 + 1e-9):
         raise ValueError(
-            f"contact_stiffness = {stiffness:g} N/m: {fidelity.method_name} needs a time step of at most {limit:.2g} s,"
+            f"contact_stiffness = {stiffness:g} N/m: {fidelity.method_name} needs a time step of at most {limit:.3g} s,"
             f" and that of this fidelity is {fidelity.time_step:g} s: give fidelity ="
             f" {_stable_settings(fidelity, scene)}"
         )
@@ -107,7 +107,7 @@ def check_simulable(scene: Scene, fidelity: Fidelity, max_length: float, max_air
         pull = f"{start.tension:.3g} N as it starts from rest" if at_start else f"{sliding:.3g} N as it slides"
         raise ValueError(
             f"{tube}: drag pulls the probe with {pull}: {fidelity.method_name} needs a time step of at most"
-            f" {tension_limit:.2g} s, and that of this fidelity is {fidelity.time_step:g} s: give fidelity ="
+            f" {tension_limit:.3g} s, and that of this fidelity is {fidelity.time_step:g} s: give fidelity ="
             f" {_stable_settings(fidelity, scene, start.tension, sliding)}"
         )
 

@@ -28,7 +28,7 @@ FIDELITIES = {name: PRESETS[name] for name in ("study", "reference", "standard")
 }
 IDS = ("probe_env/Insertion-v1", "probe_env/Snapshot-v1")
 REFUSED = {
-    "contact_stiffness = 1e+06 N/m: superelement32 needs a time step of at most 7.6e-05 s, and that of this"
+    "contact_stiffness = 1e+06 N/m: superelement32 needs a time step of at most 7.62e-05 s, and that of this"
     " fidelity is 0.0002 s: give fidelity = {'method': 'superelement32', 'time_step': 5e-05,": {
         "contact_stiffness": 1e6
     },

@@ -106,6 +106,8 @@ def test_contradicting_arguments_are_refused():
 
 BROKEN = {
     "tubes: there is no such field; accepted: assumptions, tube, probe, contact": {"tubes": {}},
+    "air.compressible: is set for all terms by assumptions = 'whole'": {"air": {"compressible": True}},
+    "contact.weight: is set for all terms by assumptions": {"contact": {"weight": True}},
     "tube.helix_diameter: 0.1 m is outside the accepted": {"tube": {"helix_diameter": [0.1]}},
     "tube.helix_diameter.*at least 1": {"tube": {"helix_diameter": []}},
     "contact.friction.high: Field required": {"contact": {"friction": {"low": 0.1}}},
