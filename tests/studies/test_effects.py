@@ -45,6 +45,7 @@ def test_diverged_members_are_counted_and_not_averaged(monkeypatch):
         rows += Effect(0.15, 0.5, "study", 1).rows()
     (row,) = effects.effects(pd.DataFrame(rows)).to_dict("records")
     assert row["diverged"] == 1
+    assert np.isnan(rows[2]["axial_peak_hz"])
     assert row["tension_mean_n"] == pytest.approx(np.mean([row["tension_mean_n"] for row in rows[:2]]))
 
 

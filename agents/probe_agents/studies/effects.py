@@ -13,11 +13,12 @@ from probe_agents.evaluation.workers import HERE, Workers
 from probe_agents.records.manifest import write_manifest
 from probe_agents.records.store import Store, write_tables
 from probe_agents.studies.builtin import print_frame
-from probe_agents.studies.chart import DURATION, SETTLE, Run
+from probe_agents.studies.chart import DURATION, PEAK, SETTLE, Run
 from probe_agents.studies.claims import PERTURBATION
 from probe_env import Scene, SimulatorBatch
 from probe_env.fidelity import PRESETS
 from probe_env.physics.closed_forms import steady_root_tension
+from probe_env.physics.simulation.signals import SAMPLE_PERIOD, dominant_frequencies
 
 PARTS: Final[dict[str, dict[str, Any]]] = {
     "weight": {"contact": {"weight": True}},
@@ -33,14 +34,19 @@ EFFECTS: Final[dict[str, dict[str, Any]]] = {
     "restitution 0.7": {"contact": {"damping": 7.5}},
     "friction slope -0.1": {"contact": {"friction_slope": -0.1}},
     "friction slope 0.1": {"contact": {"friction_slope": 0.1}},
-    "feed ripple 0.01": {"feed_ripple": 0.01},
+    **{f"feed ripple {ripple}": {"feed_ripple": ripple} for ripple in (0.002, 0.005, 0.01)},
 }
 """Further effects, off by default: low and high ends of plausible ranges, as changes of the whole model."""
 CHANGES: Final = PARTS | EFFECTS
 LEFT_OUT: Final = {f"whole without {part}": tuple(other for other in PARTS if other != part) for part in PARTS}
-MODELS: Final = ALONE | LEFT_OUT | {f"whole with {effect}": (*PARTS, effect) for effect in EFFECTS}
+FURTHER: Final = {name: ALONE[name] for name in ("study", "whole")} | {
+    f"whole with {effect}": (*PARTS, effect) for effect in EFFECTS
+}
+MODELS: Final = ALONE | LEFT_OUT | FURTHER
 """Name of a model -> its parts."""
 FRICTIONS, AIRS = (0.1, 0.175, 0.25), (40.0, 63.0, 120.0)  # [-], [m3/h]
+FURTHER_FRICTIONS: Final = (0.1, 0.125, 0.15, 0.175)
+"""Friction of ``FURTHER``."""
 LENGTHS: Final = (5.0, 7.5, 10.0, 12.5, 15.0, 20.0, 30.0, 40.0, 50.0)
 """Carrier lengths [m]."""
 ONSET: Final = 2e-5
@@ -71,9 +77,12 @@ class Effect(Run):
         batch = SimulatorBatch(scenes, *numerics, threads=1, perturbation=PERTURBATION)
         batch.advance(duration=SETTLE)
         begin = time.process_time()
-        window = batch.advance(duration=DURATION)
+        window = batch.advance(duration=DURATION, keep_samples=True)
         cpu = (time.process_time() - begin) / DURATION / self.members
+        assert window.axial is not None
+        peaks = [dominant_frequencies(signal, SAMPLE_PERIOD, 1) for signal in window.axial.T]
         table = pd.DataFrame({name: window.statistics[name] for name in ("radial_rms_m", "tension_mean_n")})
+        table[PEAK] = [peak[0] if peak else np.nan for peak in peaks]
         table.loc[window.diverged] = np.nan
         table = table.assign(diverged=window.diverged, cpu_s=cpu, **self.key)
         return table.rename_axis("member").reset_index().to_dict("records")  # type: ignore[return-value]
@@ -81,7 +90,8 @@ class Effect(Run):
 
 def run(output: Path, trials: int = 16, workers: Workers = HERE) -> pd.DataFrame:
     """Run what is not stored, with ``trials`` members; writes members.csv, effects.csv, onset.csv, root-tension.csv."""
-    runs = [Effect(*key, members=trials) for key in product(FRICTIONS, LENGTHS, MODELS)]
+    keys = *product(FRICTIONS, LENGTHS, ALONE | LEFT_OUT), *product(FURTHER_FRICTIONS, LENGTHS, FURTHER)
+    runs = [Effect(*key, members=trials) for key in keys]
     store = Store(output / "members.csv", (*runs[0].key, "member"))
     members = store.fill({effect.last: effect for effect in runs}, Effect.rows, "setting")
     tables = {"effects": effects(members), "onset": onsets(members), "root-tension": root_tensions()}
@@ -93,9 +103,9 @@ def run(output: Path, trials: int = 16, workers: Workers = HERE) -> pd.DataFrame
 
 def effects(members: pd.DataFrame) -> pd.DataFrame:
     """Means and standard errors over the members that did not diverge, and ratios to the study's model."""
-    names, keys = ["radial_rms_m", "tension_mean_n", "cpu_s"], ["friction", "carrier_length_m", "model"]
+    names, keys = ["radial_rms_m", "tension_mean_n", PEAK, "cpu_s"], ["friction", "carrier_length_m", "model"]
     groups = members.groupby(keys, sort=False)
-    table = groups[names].mean().join(groups[names[:2]].sem().add_suffix(":error")).join(groups["diverged"].sum())
+    table = groups[names].mean().join(groups[names[:3]].sem().add_suffix(":error")).join(groups["diverged"].sum())
     base = table.xs("study", level="model")[names]
     return table.join((table[names] / base).add_suffix(":ratio")).reset_index()
 
