@@ -69,6 +69,7 @@ def _space(name: str) -> Any:
 class Design(Model):
     """Design of a probe: fields of ``scene.Probe``; defaults are those of table 2.
 
+    Lengths are continuous, for searches; the probe has whole pitches, see ``built``. Files must give whole pitches.
     Searches and environments stay within ``RANGES``. Designs are compared over the tube that the sensor reaches with
     the longest guide, so the guide cannot be longer.
     """
@@ -96,7 +97,7 @@ class Design(Model):
         """The design at a point (7,) of the unit cube."""
         fractions = np.asarray(point, dtype=float)
         if fractions.shape != (len(RANGES),) or not ((fractions >= 0.0) & (fractions <= 1.0)).all():
-            raise ValueError(f"point = {point!r} must be {len(RANGES)} numbers within 0 to 1")
+            raise ValueError(f"point = {fractions.tolist()} must be {len(RANGES)} numbers within 0 to 1")
         pairs = zip(RANGES.items(), fractions, strict=True)
         return cls(**{name: float(low + fraction * (high - low)) for (name, (low, high, _)), fraction in pairs})
 

@@ -14,6 +14,7 @@ from probe_env.envs.episodes.starts import (
     EpisodeSampler,
     EpisodeSettings,
     SceneSettings,
+    reset_options,
     resolve_settings,
     restored_on_error,
     sample_context,
@@ -140,7 +141,9 @@ class DesignEnv(StepLimitSpec, gym.Env[Observation, Observation]):
         """Design of an action (7,) in [-1, 1], before rounding to pitches."""
         values = as_actions(action, (len(RANGES),)).astype(float)
         if not (np.abs(values) <= 1.0 + 1e-6).all():
-            raise ValueError(f"action = {action!r} must be {len(RANGES)} numbers within -1 to 1: {', '.join(RANGES)}")
+            raise ValueError(
+                f"action = {values.tolist()} must be {len(RANGES)} numbers within -1 to 1: {', '.join(RANGES)}"
+            )
         return Design.from_unit(fraction_of(values))
 
     @one_line_errors()
@@ -156,7 +159,7 @@ class DesignEnv(StepLimitSpec, gym.Env[Observation, Observation]):
         super().reset(seed=seed)
         sections = None if self.full else cast(Schedule, self.feed)
         with restored_on_error([self.np_random]):
-            context = sample_context(self.sampler.source, self.np_random, dict(options or {}))
+            context = sample_context(self.sampler.source, self.np_random, reset_options(options))
             for design in HARDEST:  # then the whole design space, cut to the bore, is accepted
                 check_candidate(design.cut_to(self.scene), context, self.config, self.fidelity, sections)
         self.context = context

@@ -17,7 +17,7 @@ from gymnasium.vector.utils import batch_space
 from probe_env.arrays import FloatArray
 from probe_env.envs.episodes import Episodes
 from probe_env.envs.episodes.actions import step_action
-from probe_env.envs.episodes.starts import EpisodeSettings
+from probe_env.envs.episodes.starts import EpisodeSettings, reset_options
 from probe_env.envs.task.config import TaskConfig
 from probe_env.settings import Model, one_line_errors
 
@@ -385,7 +385,7 @@ class ProbeVectorEnv(StepLimitSpec, gym.vector.VectorEnv[Observation, Observatio
         options: dict[str, Any] | None = None,
     ) -> tuple[Observation, dict[str, Any]]:
         """Start all episodes, or those of ``options["reset_mask"]``. Other options: see ``Episodes.reset``."""
-        options = dict(options or {})
+        options = reset_options(options)
         mask = options.pop("reset_mask", None)
         mask = np.ones(self.num_envs, dtype=bool) if mask is None else np.asarray(mask)
         if mask.shape != (self.num_envs,) or mask.dtype != np.bool_ or not mask.any():

@@ -117,6 +117,8 @@ def test_a_changed_tube_is_saved_as_a_file_of_the_command(tmp_path):
     form.open(EXAMPLE)
     with pytest.raises(ValueError, match="ships with the project"):
         form.save(EXAMPLE, tmp_path)
+    with pytest.raises(ValueError, match="invisible characters"):
+        form.save(Path("a\nb.toml"), tmp_path)
 
 
 def test_folders_in_which_a_tube_can_be_saved(tmp_path):

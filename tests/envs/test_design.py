@@ -110,7 +110,7 @@ def test_bad_arguments_actions_and_schedules_are_named():
     env = DesignEnv()
     env.reset(seed=0)
     for action, message in (
-        (np.full(7, 1.1), "must be 7 numbers within -1 to 1: guide_length"),
+        (np.linspace(0.0, 2.0, 7), r"action = \[0.0, 0.3333.* must be 7 numbers within -1 to 1: guide_length"),
         (np.full(7, np.nan), "must be 7 numbers within -1 to 1: guide_length"),
         (np.zeros(6), r"action has shape \(6,\); the accepted shape is \(7,\)"),
         (["0"] * 7, r"action = \['0', .* is not an array of numbers of the accepted shape \(7,\)"),

@@ -214,6 +214,7 @@ REFUSED = [
     ({}, {"context": 3}, r"options\['context'\] = 3 is neither a Context nor a mapping"),
     ({}, {"context": "x"}, r"options\['context'\] = 'x' is neither"),
     ({}, {"context": [1.0]}, r"options\['context'\] = \[1.0\] is neither"),
+    ({}, 3, "options = 3 is not a mapping"),
     ({}, {"probe": 3}, r"options\['probe'\] = 3 is not a mapping"),
     ({"contexts": "mine"}, None, "contexts = 'mine' is not one of random, train, validation, test"),
     ({"contexts": []}, None, r"contexts = \[\] is empty"),
@@ -259,6 +260,7 @@ def test_bad_actions_are_named_and_nothing_is_advanced():
         ({"feed": 0.5}, "action = {'feed': 0.5} is not"),
         ([[0.0], [0.0, 0.0]], "action = [[0.0], [0.0, 0.0]] is not"),
         (None, "action = None is not"),
+        (np.full((2, 1), "0"), "action = array([['0'], ['0']], dtype='<U1') is not"),
     ):
         with pytest.raises(ValueError, match=re.escape(message)):
             env.step(action)

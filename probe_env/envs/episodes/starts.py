@@ -120,7 +120,7 @@ class EpisodeSampler:
 
         ``turn`` is the index of the tube with ``in_turn``; after the last tube the first follows.
         """
-        fixed = dict(options)
+        fixed = reset_options(options)
         changes: dict[str, Any] = {name: fixed.pop(name) for name in ("probe", "carrier_length") if name in fixed}
         source = self.source
         if self.in_turn and not isinstance(source, Ranges):
@@ -212,6 +212,13 @@ def checked_contexts(contexts: Contexts) -> tuple[Context, ...] | Ranges:
     if not listed:
         raise ValueError("contexts = [] is empty: give at least one")
     return tuple(listed)
+
+
+def reset_options(options: Mapping[str, Any] | None) -> dict[str, Any]:
+    """A copy of the options of ``reset``; ValueError if they are not a mapping."""
+    if not isinstance(options or {}, Mapping):
+        raise ValueError(f"options = {options!r} is not a mapping from names to values")
+    return dict(options or {})
 
 
 def sample_context(source: tuple[Context, ...] | Ranges, rng: np.random.Generator, fixed: dict[str, Any]) -> Context:

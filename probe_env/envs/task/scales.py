@@ -68,7 +68,8 @@ def as_actions(actions: npt.ArrayLike, shape: tuple[int, ...]) -> npt.NDArray[An
     except ValueError:  # rows of different lengths
         values = np.asarray(None)
     if values.dtype.kind not in "biuf":
-        raise ValueError(f"action = {repr(actions)[:100]} is not an array of numbers of the accepted shape {shape}")
+        shown = " ".join(repr(actions).split())[:100]
+        raise ValueError(f"action = {shown} is not an array of numbers of the accepted shape {shape}")
     if values.shape != shape:
         raise ValueError(f"action has shape {values.shape}; the accepted shape is {shape}")
     return values
