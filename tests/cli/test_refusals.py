@@ -102,7 +102,7 @@ REFUSED = [
     ("compare nowhere.toml", "no such file: nowhere.toml"),
     ("compare original --limit 99", "limit = 99 is outside the accepted range"),
     ("compare original original", "same name"),
-    ("plc --trimmed --csv law.csv", "trimmed = True needs --st"),
+    ("plc --integral --csv law.csv", "integral = True needs --st"),
     ("app --origin http://localhost --no-show", "origin = 'http://localhost' is not host:port"),
 ]
 

@@ -7,6 +7,7 @@ import re
 import subprocess
 import sys
 from importlib import import_module
+from importlib.metadata import version
 from pathlib import Path
 
 import pytest
@@ -42,6 +43,10 @@ def test_the_python_examples_run(page, example, monkeypatch, tmp_path):
 def test_figures_of_the_readme_are_stored():
     for text in (readme.results_table(), readme.learning_table(), readme.speed_row()):
         assert text in PAGES["README.md"]
+
+
+def test_citation_has_the_version_of_the_package():
+    assert f"\nversion: {version('probe-env')}\n" in (ROOT / "CITATION.cff").read_text()
 
 
 def test_stored_results_have_the_hashes_of_their_manifests():

@@ -61,7 +61,7 @@ CASES: dict[str, tuple[str, ...]] = {
     "log": ("log rig.csv --output out/clean.csv --plot out/rig.png",),
     "calibrate": ("calibrate rig.csv --output out",),
     "recommend": ("recommend own.csv --limit 1 --fidelity fast --policy out/law.json --output out/mine.csv",),
-    "plc": ("plc --st out/law.st --csv out/law.csv", "plc --trimmed --st out/trimmed.st --tube tube.toml"),
+    "plc": ("plc --st out/law.st --csv out/law.csv", "plc --integral --st out/integral.st --tube tube.toml"),
     "render": ("render --policy pi --fidelity fast --output out/insertion.png",),
     "render-strip": ("render --view strip --fidelity standard --at 20 --duration 0.1 --output out/strip.png",),
     "agents": ("agents",),

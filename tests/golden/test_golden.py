@@ -42,7 +42,7 @@ CASES = {
     "log": "log rig.csv --output out/clean.csv",
     "calibrate": "calibrate rig.csv --output out",
     "plc": "plc --st out/law.st --csv out/law.csv",
-    "plc-trimmed": "plc --trimmed --st out/trimmed.st --tube short.toml",
+    "plc-integral": "plc --integral --st out/integral.st --tube short.toml",
     "steps-insertion": f"steps Insertion-v1 6 {STEPS}",
     "steps-complete": "steps Insertion-v1 45 fidelity=fast tube=short.toml",
     "steps-time-limit": f"steps Inspection-v0 6 {STEPS} config.time_limit=4",

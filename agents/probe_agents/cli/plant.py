@@ -222,7 +222,7 @@ class Plc:
     """File of recipe, law (IEC 61131-3 structured text) and scaling of the noise, or - to print it and nothing else."""
     csv: File = None
     """File of the law as a table over helix diameter, friction and length, or - to print it and nothing else."""
-    trimmed: bool = False
+    integral: bool = False
     """Add integral action on the noise, as in the policy plc-integral; needs --st."""
     tube: File = None
     """Your plant (tube.toml); its bore, air, probe and ranges enter the law."""
@@ -234,19 +234,19 @@ class Plc:
         from probe_agents.policies.plc_law import STORED, STORED_INTEGRAL, PlantData, read_constants
         from probe_agents.records.atomic import STANDARD_OUTPUT
 
-        if self.trimmed and not self.st:
-            raise ValueError("trimmed = True needs --st: a table has no memory for the integral action")
-        constants = read_constants(STORED_INTEGRAL if self.trimmed else STORED)
+        if self.integral and not self.st:
+            raise ValueError("integral = True needs --st: a table has no memory for the integral action")
+        constants = read_constants(STORED_INTEGRAL if self.integral else STORED)
         case = read_case(self.tube, "test")
         written = [file for file in (self.st, self.csv) if file]
         printed = STANDARD_OUTPUT.isdisjoint(written)
         recipe = recipe_of(plant_at(self.tube)) if self.st or printed else ""
-        write_law(constants, PlantData.of(case.config), case, self.st, self.csv, self.trimmed, recipe)
+        write_law(constants, PlantData.of(case.config), case, self.st, self.csv, self.integral, recipe)
         if printed:
             for file in written:
                 print_line(f"written: {file}")
             print_recipe(recipe)
-            print_law(constants, self.trimmed)
+            print_law(constants, self.integral)
 
 
 @dataclass(frozen=True)

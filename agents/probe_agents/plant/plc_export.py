@@ -98,7 +98,7 @@ def print_recipe(recipe: Schedule | str) -> None:
 def structured_text(
     constants: Constants,
     plant: PlantData,
-    trimmed: bool = False,
+    integral: bool = False,
     recipe: Schedule | str = "",
     sensor: Sensor | None = None,
 ) -> str:
@@ -107,7 +107,7 @@ def structured_text(
     Args:
         constants: the constants.
         plant: data of the plant.
-        trimmed: with integral action on the noise.
+        integral: with integral action on the noise.
         recipe: the recommended schedule, or why there is none.
         sensor: sensor of the plant, for the scaling of the noise; default: that of the study's plant.
     """
@@ -115,14 +115,14 @@ def structured_text(
 
     values = [plant.air_speed_per_supply, plant.drag, plant.float_diameter, *plant.feed_speeds]
     values += [*plant.air_supply_rates, plant.required_tension]
-    entries = [(n.upper(), v, DESCRIPTIONS[n][0] or "-") for n, v in _values(constants, trimmed).items()]
+    entries = [(n.upper(), v, DESCRIPTIONS[n][0] or "-") for n, v in _values(constants, integral).items()]
     environment = Environment(
         trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True, undefined=StrictUndefined, autoescape=False
     )
     environment.filters["real"] = _real
     return environment.from_string(TEMPLATE.read_text(encoding="utf-8")).render(
         law=plc_law,
-        trim=trimmed,
+        trim=integral,
         header=RECIPE_HEADER,
         about_recipe=RECIPE,
         recipe=recipe if isinstance(recipe, str) else recipe_rows(recipe),
@@ -155,13 +155,13 @@ def table(
     return pd.DataFrame(columns | {"feed_speed_m_per_s": feed, "air_supply_m3_per_h": 3600.0 * air})
 
 
-def _values(constants: Constants, trimmed: bool) -> dict[str, float]:
-    return constants.model_dump(exclude=None if trimmed else set(TRIM))
+def _values(constants: Constants, integral: bool) -> dict[str, float]:
+    return constants.model_dump(exclude=None if integral else set(TRIM))
 
 
-def print_law(constants: Constants, trimmed: bool = False) -> None:
-    """Print the constants of the law, and those of the integral action if ``trimmed``."""
-    rows = [(name, f"{value:.4g}", *DESCRIPTIONS[name]) for name, value in _values(constants, trimmed).items()]
+def print_law(constants: Constants, integral: bool = False) -> None:
+    """Print the constants of the law, and those of the integral action if ``integral``."""
+    rows = [(name, f"{value:.4g}", *DESCRIPTIONS[name]) for name, value in _values(constants, integral).items()]
     print_table(f"The law's constants ({SYMBOLS})", ("constant", "value", "unit", ""), rows, left=4)
 
 
@@ -171,10 +171,10 @@ def write_law(
     case: EvaluationCase,
     st: Path | None,
     csv: Path | None,
-    trimmed: bool = False,
+    integral: bool = False,
     recipe: Schedule | str = "",
 ) -> None:
-    """Write the law as structured text (with integral action if ``trimmed``, and a recipe) and as a table.
+    """Write the law as structured text (with integral action if ``integral``, and a recipe) and as a table.
 
     Warns if the plant requires more tension than the most air gives in all tubes, or is outside the law's domain.
     """
@@ -187,7 +187,7 @@ def write_law(
         )
     check_domains({"the law": Domain.of_map(stored_map())}, case.config, case.contexts, strict=False)
     if st:
-        write_text(st, structured_text(constants, plant, trimmed, recipe, case.config.sensor))
+        write_text(st, structured_text(constants, plant, integral, recipe, case.config.sensor))
     if csv:
         diameters = sorted({context.helix_diameter for context in case.contexts})
         rows = table(constants, plant, diameters, case.config.scene.tube.helix_length)
