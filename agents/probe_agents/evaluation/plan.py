@@ -73,6 +73,9 @@ class Plan:
         vibration: vibration map of fidelity "surrogate"; default: the shipped one.
         bundle: bundle of tubes whose hours are reported; None: no hours.
         plant: name of the plant, for the report.
+
+    Raises:
+        ValueError: a policy was made for other ranges of feed and air, so its actions would mean other values.
     """
 
     policies: Mapping[str, Policy]
@@ -84,6 +87,15 @@ class Plan:
     vibration: VibrationMap | None = None
     bundle: Bundle | None = None
     plant: str | None = None
+
+    def __post_init__(self) -> None:
+        for name, policy in self.policies.items():
+            made = getattr(policy, "config", self.config)
+            for limits in ("feed_speeds", "air_supply_rates"):
+                if (own := getattr(made, limits)) != (here := getattr(self.config, limits)):
+                    raise ValueError(
+                        f"policy {name}: {limits} = {own} differs from {here} of the task: make it for this task"
+                    )
 
     def folder(self, path: Path) -> ResultFolder:
         """The folder of the episodes; what is observed changes none, so it may differ."""

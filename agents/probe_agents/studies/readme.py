@@ -16,7 +16,7 @@ import pandas as pd
 from probe_agents.evaluation.plan import Plan, run_plan
 from probe_agents.evaluation.workers import HERE, Workers
 from probe_agents.policies.catalogue import named_policies
-from probe_agents.records.manifest import CHECKOUT, write_json, write_manifest
+from probe_agents.records.manifest import CHECKOUT, commit, write_json, write_manifest
 from probe_agents.records.store import write_tables
 from probe_agents.terminal.tables import print_terms
 from probe_env import TaskConfig, load_contexts
@@ -104,7 +104,8 @@ def speed_row(results: Path = RESULTS) -> str:
 def learn(output: Path, limit: int = 24, trials: int = 5, workers: Workers = HERE) -> pd.DataFrame:
     """Train ``RECIPES`` with at most ``trials`` seeds each and test them at ``fast``; writes curve.csv and the models.
 
-    curve.csv has means over the test tubes of every recipe, seed and number of steps, and of ``RIVALS``.
+    Seeds whose models are stored are not trained again. curve.csv has means over the test tubes of every recipe, seed
+    and number of steps, and of ``RIVALS``.
     """
     from probe_agents.policies import load_bundle
 
@@ -115,19 +116,23 @@ def learn(output: Path, limit: int = 24, trials: int = 5, workers: Workers = HER
     with multiprocessing.get_context("spawn").Pool(workers.jobs) as pool:
         trained = pd.concat(pool.starmap(train, runs, chunksize=1), ignore_index=True)
     policies = named_policies(RIVALS, config) | {
-        name: load_bundle(output / "models" / f"{name}.safetensors") for name in trained["policy"]
+        name: load_bundle(output / "models" / f"{name}.safetensors", config) for name in trained["policy"]
     }
     plan = Plan(policies, load_contexts("test")[:limit], (0,), config, resolve_fidelity("fast", config.scene))
     means = run_plan(plan, None, batch=64).groupby("policy", sort=False)
     figures = means[["reward", "inspection_time_s", "share_within_limit", "lost_drive"]].mean().reset_index()
     table = figures.merge(trained, how="left", on="policy")
-    write_manifest(output, write_tables(output, {"curve": table}), seeds=range(trials))
+    commits = [*trained["commit"], commit()]
+    write_manifest(output, write_tables(output, {"curve": table}), seeds=range(trials), commits=commits)
     print(table.to_string())
     return table
 
 
 def train(name: str, recipe: Recipe, seed: int, folder: Path) -> pd.DataFrame:
     """Train a seed of a recipe; saves a bundle NAME-SEED-STEPS after each number of steps, with the time until then."""
+    stored = folder / f"{name}-{seed}.csv"
+    if stored.exists():
+        return pd.read_csv(stored)
     import sb3_contrib
     import stable_baselines3
     import torch
@@ -143,10 +148,11 @@ def train(name: str, recipe: Recipe, seed: int, folder: Path) -> pd.DataFrame:
     for steps in recipe.steps:
         model.learn(steps - model.num_timesteps, reset_num_timesteps=False)
         row = {"recipe": name, "seed": seed, "steps": steps, "seconds": time.perf_counter() - begin}
-        rows.append({"policy": f"{name}-{seed}-{steps}", **row, "tuning": recipe.tuning})
+        rows.append({"policy": f"{name}-{seed}-{steps}", **row, "tuning": recipe.tuning, "commit": commit()})
         save_bundle(folder / f"{rows[-1]['policy']}.safetensors", model, env.config)
         print(f"{rows[-1]['policy']}: {row['seconds']:.0f} s", flush=True)
-    return pd.DataFrame(rows)
+    pd.DataFrame(rows).to_csv(stored, index=False)
+    return pd.read_csv(stored)
 
 
 def measure_speed(output: Path, workers: Workers = HERE) -> dict[str, list[float]]:
