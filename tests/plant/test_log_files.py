@@ -356,6 +356,38 @@ def test_broken_files_are_refused_in_one_line(tmp_path):
     assert not failures
 
 
+TENSION = "time [s];length [m];air [m3/h];tension [N]\n"
+SPEED = "time [s];length [m];feed [{}];air [m3/h]\n"
+MUTANTS = {  # content -> whether it may be read; then there is a note
+    "a decimal comma that looks like thousands": (TENSION + "0;5.0;63;2.25\n1;5.2;63;2,360\n2;5.4;63;2.47\n", False),
+    "a decimal point that looks like thousands": (TENSION + "0;5,0;63;2,25\n1;5,2;63;2.360\n2;5,4;63;2,47\n", False),
+    "an exponent alone": (TENSION + "0;5.0;63;2.25\n1;5.2;63;e5\n2;5.4;63;2.47\n", False),
+    "a speed 1000 times the encoder's": (SPEED.format("m/s") + "0;5;0.2;63\n1;5.0002;0.2;63\n2;5.0004;0.2;63\n", False),
+    "a speed 1000 times as slow": (SPEED.format("mm/s") + "0;5.0;0.2;63\n1;5.2;0.2;63\n2;5.4;0.2;63\n", False),
+    "rows above the header": (TENSION.replace("m]", "") + "0;5.0;63;2\n" + TENSION + "1;5.2;63;2\n2;5.4;63;2\n", True),
+    "a row that begins like a comment": (TENSION + "0;5.0;63;2\n!1;5.2;63;2\n2;5.4;63;2\n3;5.6;63;2\n", True),
+    "no unit of the first column": ("Time|Length|Air\n|m|m3/h\n9:59:01|5|63\n9:59:02|5.2|63\n9:59:03|5.4|63\n", None),
+    "a long word above the header": ("9" * 30_000 + "x\n" + TENSION + "0;5.0;63;2\n1;5.2;63;2\n2;5.4;63;2\n", None),
+    "many spaces in a heading": (
+        f"{TENSION[:-1]};a{' ' * 20_000}b\n0;5.0;63;2;1\n1;5.2;63;2;1\n2;5.4;63;2;1\n", True
+    ),
+    "many spaces in a cell": (TENSION + f"0;5.0;63;2{' ' * 60_000}!\n1;5.2;63;2\n2;5.4;63;2\n", False),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", MUTANTS)
+def test_damage_that_mutants_found(name, tmp_path):
+    path, (content, with_note) = tmp_path / "rig.log", MUTANTS[name]
+    path.write_text(content)
+    if with_note is False:
+        with pytest.raises(FileError, match=f"^{re.escape(str(path))}"):
+            read(path)
+        return
+    log = read(path)
+    assert log.inserted_length[-1] in (5.4, 5.6)
+    assert bool(log.notes) == bool(with_note)
+
+
 def rig(path, tensions, head="tension [N]", times=range(8), time="time [s]"):
     """Write a log with these tensions, at 0.2 m/s."""
     rows = (f"{t};{5 + 0.2 * k:.1f};0.2;63;{n}" for k, (t, n) in enumerate(zip(times, tensions, strict=True)))
