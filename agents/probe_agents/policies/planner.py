@@ -75,7 +75,6 @@ class InsertionPlanner:
         seed: seed of candidates, noise and inferred tubes.
         vibration: vibration map of the remaining reward; default: the shipped one.
         tube: "true" or "inferred".
-        rest: remaining reward: from the "map", or "nothing" (0).
     """
 
     config: TaskConfig
@@ -87,7 +86,6 @@ class InsertionPlanner:
     seed: int = 0
     vibration: VibrationMap = field(default_factory=stored_map)
     tube: Literal["true", "inferred"] = "true"
-    rest: Literal["map", "nothing"] = "map"
 
     def __post_init__(self) -> None:
         for name in ("periods", "candidates", "every", "copies"):
@@ -220,10 +218,8 @@ class InsertionPlanner:
     def _rest(self, copies: Episodes) -> FloatArray:
         """(N,) expected reward of the rest of the insertion."""
         inserted = copies.inserted_length
-        rest = np.zeros(len(copies))
-        if self.rest == "map":
-            pairs = zip(copies.context, inserted, strict=True)
-            rest = np.array([remaining_reward(tube, at, self.config, self.vibration) for tube, at in pairs])
+        pairs = zip(copies.context, inserted, strict=True)
+        rest = np.array([remaining_reward(tube, at, self.config, self.vibration) for tube, at in pairs])
         # a slack cable will lose the drive, which the map does not include
         lost_drive = -uninspected_weight(self.config) * (copies.helix_length - inserted)
         return np.where(copies.running, np.where(is_slack(copies), lost_drive, rest), 0.0)
