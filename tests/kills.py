@@ -14,7 +14,7 @@ from tqdm import tqdm
 
 # A server that imports once and forks for each piece of work: it has no threads, which a fork would cut off
 SERVER = multiprocessing.get_context("forkserver")
-SERVER.set_forkserver_preload(["probe_agents.training.tuning", "probe_agents.design.search"])
+SERVER.set_forkserver_preload(["probe_agents.training.train", "probe_agents.design.search"])
 
 
 class Killed(BaseException):

@@ -57,7 +57,6 @@ CASES: dict[str, tuple[str, ...]] = {
     "compare-full": ("compare original improved --full --limit 1 --fidelity fast --output out",),
     "design": ("design --trials 5 --limit 2 --fidelity standard --output out",),
     "train": ("train train.toml --output out",),
-    "tune": ("tune train.toml --trials 2 --phases 1 --output out",),
     "log": ("log rig.csv --output out/clean.csv --plot out/rig.png",),
     "calibrate": ("calibrate rig.csv --output out",),
     "recommend": ("recommend own.csv --limit 1 --fidelity fast --policy out/law.json --output out/mine.csv",),
@@ -87,7 +86,7 @@ IGNORED_NAMES = re.compile(
 simulation have the ending _s."""
 UNKNOWN = re.compile(r"(policy|command|env_id|fidelity) = .* is not one of|no such file|no option|no environment")
 PROGRESS = re.compile(r".*(%\||\[\d\d:\d\d|compiling kernels).*\n?|^\s*\n", re.MULTILINE)
-TIMED, WALL_CLOCK = {"train", "tune"}, re.compile(r"│ +[\d.e+]+ │$", re.MULTILINE)
+TIMED, WALL_CLOCK = {"train"}, re.compile(r"│ +[\d.e+]+ │$", re.MULTILINE)
 """Cases whose printed table ends with a column of wall clock."""
 TEXTS = re.compile(r"std(out|err) |\S+\.(html|png|gif|st),")
 SHOWN = 3

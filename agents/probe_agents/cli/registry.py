@@ -14,7 +14,6 @@ GROUPS: Final = {
     },
     "Train and design": {
         "train": ("training:Train", "train agents from a training file, with checkpoints"),
-        "tune": ("training:Tune", "search hyperparameters"),
         "compare": ("training:Compare", "probe designs on the same tubes"),
         "design": ("training:DesignSearch", "search for probe designs"),
         "study": ("training:Study", "run a study by name or from a file"),
@@ -30,7 +29,7 @@ GROUPS: Final = {
 """Title -> name -> module of ``probe_agents.cli`` with dataclass, and the line on the first page."""
 COMMANDS: Final = {name: entry for commands in GROUPS.values() for name, entry in commands.items()}
 NEEDS: Final = {
-    **dict.fromkeys(("train", "tune", "compare", "design"), "agents"),
+    **dict.fromkeys(("train", "compare", "design"), "agents"),
     **dict.fromkeys(("log", "calibrate"), "plant"),
     "app": "app",
 }

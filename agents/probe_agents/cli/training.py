@@ -1,4 +1,4 @@
-"""Commands train, tune, compare, design and study."""
+"""Commands train, compare, design and study."""
 
 from __future__ import annotations
 
@@ -46,35 +46,6 @@ class Train:
         output = self.output or Path("output/train") / self.config_file.stem
         print_curves(train_all(training, output, self.resume, self.workers))
         print_line(f"written: {output}/seed-*/ (agent.safetensors: best in validation, learning.csv, run.json, logs)")
-
-
-@dataclass(frozen=True)
-class Tune:
-    """Search for hyperparameters: short trainings, scored by their reward on the validation tubes.
-
-    Example: probe-env tune ppo --trials 40 --phases 2 --output output/tune/ppo
-    """
-
-    config_file: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="CONFIG")]]
-    """Training file (TOML), or the name of a shipped one. Its first seed is trained."""
-    trials: int = 40
-    """Number of trials, including pruned ones."""
-    phases: Annotated[int | None, hide_default()] = None
-    """Phases per trial after the warm start; default: half of the file's."""
-    output: File = None
-    """Folder of the search; an interrupted search continues. Default: output/tune/NAME."""
-    seed: int = 0
-    """Seed of the search."""
-
-    def run(self) -> None:
-        """Search, store, print."""
-        from probe_agents.records.shipped import file_or_shipped
-        from probe_agents.training.config import Training
-        from probe_agents.training.tuning import run_tuning
-
-        training = Training.from_toml(file_or_shipped("train", self.config_file))
-        output = self.output or Path("output/tune") / self.config_file.stem
-        run_tuning(training, self.trials, self.phases, output, self.seed)
 
 
 @dataclass(frozen=True)

@@ -45,7 +45,6 @@ class ResultFolder:
     compare   task, fidelity, sections or insertions, plant             design, tube, feed
     design    as compare, and variables, tubes, feed, seed              number of the trial
     train     training file but seeds and phases; plant, teacher, map   phase; one folder per seed
-    tune      training file, phases, seed                               number of the trial
     ========  ========================================================  ==============================
 
     Tables of the built-in studies (``records.store``) have the commit in a column and their settings in the others.

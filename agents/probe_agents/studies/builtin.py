@@ -1,4 +1,4 @@
-"""Built-in studies: claims of the published study, accuracy and cost, stability, predictability, shipped data."""
+"""Built-in studies: claims of the published study, accuracy and cost, stability, shipped data."""
 
 from collections.abc import Mapping, Sequence
 from importlib import import_module
@@ -67,9 +67,6 @@ BUILT_IN: Final[dict[str, BuiltIn]] = {
     "effects": BuiltIn(
         "effects.run", "What do the parts of the whole model that the study leaves out, and further effects, change?",
         {"trials": Count("members of each setting", 1000)},
-    ),
-    "predictability": BuiltIn(
-        "predictability.run", "How fast do perturbations grow, and how far ahead can a planner look?"
     ),
     "vibration-map": BuiltIn(
         "vibration_map.run", "Makes the vibration map of the study's tubes or of your plant.",

@@ -114,8 +114,6 @@ def train(
     origin: dict[str, Any],
     seed: int,
     threads: int | None = None,
-    position: int | None = None,
-    watch: Callable[[dict[str, Any]], None] = lambda row: None,
 ) -> pd.DataFrame:
     """Train one seed to its end, starting from its last checkpoint if there is one.
 
@@ -125,15 +123,11 @@ def train(
         origin: how the run was started, see ``manifest.origin``.
         seed: of weights, episodes and exploration.
         threads: of the simulation; default: all cores.
-        position: line of the progress bar; default: the first, or one line per seed if seeds have one thread each.
-        watch: called with the row of every phase after it is stored, also those before the last checkpoint; an
-            exception that it raises ends the training.
 
     Raises:
         FileError: another process trains in the folder; the checkpoint is damaged or of another run.
     """
-    if position is None:
-        position = training.seeds.index(seed) if threads else 0
+    position = training.seeds.index(seed) if threads else 0  # of the progress bar
     with run_folder(training, output, seed, origin).open(CHECKPOINT, **origin) as result:
         folder = result.path
         torch.set_num_threads(1)
@@ -147,8 +141,6 @@ def train(
         rows = restore(model, folder / CHECKPOINT)
         if rows:
             _write_curve(rows, folder)  # the stored curve may lack the last phase
-        for stored in rows:
-            watch(stored)
         imitated = training.imitation.rounds * training.imitation.steps if training.imitation else 0
         done = (imitated if rows else 0) + model.num_timesteps
         total = imitated + training.pretraining_steps + training.phases * training.phase_steps
@@ -172,7 +164,6 @@ def train(
                 rows.append(row)
                 save_checkpoint(model, rows, folder / CHECKPOINT)
                 _write_curve(rows, folder)
-                watch(rows[-1])
         result.write_manifest(CURVE, BEST, seeds=(seed,), command=origin["command"], commits=(origin["commit"],))
         return pd.DataFrame(rows)
 
