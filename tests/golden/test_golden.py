@@ -147,10 +147,10 @@ def nudge(reset: Callable[[Simulator], None], shift: int) -> None:
     Simulator.reset = nudged if shift else reset  # type: ignore[method-assign]
 
 
-def write_expected() -> None:
-    """Write expected.json: {case: {"file, column": [bound, cell, cell, ...]}}."""
-    reset, stored = Simulator.reset, {}
-    for name in CASES:
+def write_expected(names: list[str]) -> None:
+    """Write cases, default all, to expected.json: {case: {"file, column": [bound, cell, cell, ...]}}."""
+    reset, stored = Simulator.reset, json.loads(EXPECTED.read_text())
+    for name in names or CASES:
         runs = []
         for shift in range(1 + NUDGES * (name.partition("-")[0] not in ("log", "plc"))):
             nudge(reset, shift)
@@ -170,4 +170,4 @@ def write_expected() -> None:
 
 
 if __name__ == "__main__":
-    write_expected()
+    write_expected(sys.argv[1:])
