@@ -455,7 +455,9 @@ def to_root(state, memory, factors, nodes, drive, rates, model, coupling, compre
             rise = load(state, q + layout.GY) / tau  # stored if contact is damped
             float_ = float_at(i, floats)
             if len(varied) > 0:
-                float_ = float_[0], float_[1], load(drags, i // per_pitch)
+                drag, place = load(drags, i // per_pitch), len(drags) // 2 + i // per_pitch
+                float_ = float_[0], float_[1], drag
+                store(drags, i // per_pitch, drag + load(drags, place))
             if len(sticking) > 0:
                 at_held = i * layout.MEMORY + layout.HELD
                 cx, cy, ct, grip = held_forces(
@@ -491,8 +493,8 @@ def imex_advance(
 
     ``compressed`` is a tuple; numba compiles a kernel for each length. Empty: neither of these; one entry:
     the couple counts from the tangent in some lane; two entries: also the cable touches the walls. ``options`` and
-    ``drags`` as in ``superelement_advance``, ``drags`` per mass. ``memory`` (3 n, lanes) has
-    ``layout.MEMORY`` rows for each node, and is empty without shortening and held friction.
+    ``drags`` as in ``superelement_advance``, ``drags`` per mass, followed by their change in each step.
+    ``memory`` (3 n, lanes) has ``layout.MEMORY`` rows for each node, and is empty without shortening and held friction.
     """
     zero = splat(parameters, 0.0)
     last = len(factors) // layout.FACTORS - 1

@@ -427,6 +427,8 @@ def advance(
         iterations, converged, node = implicit_step(
             chain, weights, limits, walls, weighed, inputs[step], root, state, work
         )
+        if len(chain.drag_rate) > 0:
+            chain.drag[:] += chain.drag_rate
         counts[0] += iterations
         counts[1] += 0 if converged else 1
         if node >= 0:

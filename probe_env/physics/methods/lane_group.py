@@ -92,7 +92,7 @@ class NodeLanes(LaneMethod):
     def constants(
         self, chain: Chain, sensor: int, nodes_per_pitch: int, time_step: float
     ) -> tuple[FloatArray, FloatArray, FloatArray | None]:
-        """Parameters and factors of a probe, and the drag per mass of each float if it differs, see ``own_drag``."""
+        """Parameters, factors, and drag per mass of each float with its rate if it differs, see ``own_drag``."""
         self.check_chain(chain, sensor, nodes_per_pitch)
         values = lane_parameters(chain, sensor, nodes_per_pitch)
         values[[WEIGHT, DASHPOT]] /= chain.mass
@@ -101,11 +101,13 @@ class NodeLanes(LaneMethod):
             point = 1.0 / (1.0 + lever**2 * chain.mass / chain.inertia)  # mass of the point of contact over the node's
             values[GRIP] = min(values[STIFFNESS] * time_step, point / time_step)
         drag = own_drag(chain, sensor, nodes_per_pitch)
-        return values, self.factors(chain, time_step), None if drag is None else drag / chain.mass
+        drags = None if drag is None else np.stack([drag, 0.0 * drag]) / chain.mass
+        return values, self.factors(chain, time_step), drags
 
     def with_drag(self, constants: Any, chain: Chain, sensor: int, nodes_per_pitch: int, time_step: float) -> Any:
         """See ``Method.with_drag``; nothing else is computed again."""
-        return *constants[:2], chain.drag[:-1:nodes_per_pitch] / chain.mass
+        floats = slice(0, -1, nodes_per_pitch)
+        return *constants[:2], np.stack([chain.drag[floats], chain.drag_rate[floats]]) / chain.mass
 
     def kind(self, constants: Any) -> Hashable:
         """Options of the kernel: other kernels round differently."""
@@ -138,12 +140,14 @@ class NodeLanes(LaneMethod):
         turned = (parameters[[TURN, STRETCH]] > 0.0).any()
         compressed = (0, 0) if (parameters[CABLE] > 0.0).any() else (0,) if turned else ()
         varied = (0,) * any(lane.constants[2] is not None for lane in lanes)
-        drags = np.zeros((nodes if varied else 0, width), dtype=precision)
+        drags = np.zeros((2, nodes if varied else 0, width), dtype=precision)
         for k, lane in enumerate(lanes if varied else ()):
-            drags[:, k] = float_drags(lane.constants[0], lane.constants[2], np.arange(nodes) * per_pitch)
+            drag, rate = (None, ()) if lane.constants[2] is None else lane.constants[2]
+            drags[0, :, k] = float_drags(lane.constants[0], drag, np.arange(nodes) * per_pitch)
+            drags[1, : len(rate), k] = rate[:nodes]
         begin = time.perf_counter()
         self.kernel(
-            parameters, compressed, (weighed, varied, shortened, sticking, damped), drags,
+            parameters, compressed, (weighed, varied, shortened, sticking, damped), drags.reshape(-1, width),
             packed_factors.reshape(-1, width), packed.reshape(-1, width), memory.reshape(-1, width),
             group.inputs.reshape(-1, width), held[:-1].max(axis=1), held[:-1].min(axis=1), time_step, per_pitch,
             (first_sample, sample_every, group.points, samples, tension), roots, group.failed,

@@ -384,6 +384,8 @@ def advance(chain, scheme, inputs, root, state, work, first_sample, sample_every
     due = first_sample
     for step in range(len(inputs)):
         node = ticm_step(chain, scheme, inputs[step], root, state, work)
+        if len(chain.drag_rate) > 0:
+            chain.drag[:] += chain.drag_rate
         if node >= 0:
             return DIVERGED, step + 1, node, root
         root = move_root(chain, inputs[step], root, state)

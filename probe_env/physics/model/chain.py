@@ -53,6 +53,7 @@ class Chain(NamedTuple):
     outer_gap: FloatArray  # d_in - d_f; infinite with the inner wall alone
     lever: FloatArray  # d_f / 2
     drag: FloatArray  # c_D rho_f (A_f - A_c) / 2, 0 where there is no float
+    drag_rate: FloatArray  # change of the drag in each step, which changes the array; empty: constant
     support_stiffness: FloatArray  # (n + 1, 3) springs to the moving frame
     load: FloatArray  # (n + 1, 3) constant external load
 
@@ -111,6 +112,7 @@ def build_chain(scene: Scene, nodes_per_pitch: int = 4, length: float | None = N
         outer_gap=gap,
         lever=diameter / 2.0,
         drag=np.where(is_float, 0.5 * air.drag_coefficient * air.density * frontal_area, 0.0),
+        drag_rate=np.zeros(0),
         support_stiffness=np.zeros((nodes, 3)),
         load=np.zeros((nodes, 3)),
     )
@@ -278,6 +280,6 @@ def linear_part(chain: Chain) -> tuple[float, ...]:
 def cable_of(linear: tuple[float, ...]) -> Chain:
     """A chain with a ``linear_part`` only."""
     none = np.zeros((2, 3))
-    arrays = (*[none[:, 0]] * 4, none, none)  # from contact_stiffness on
+    arrays = (*[none[:, 0]] * 5, none, none)  # from contact_stiffness on
     contact = [0.0] * (len(Chain._fields) - len(linear) - len(arrays))
     return Chain(*linear, *contact, *arrays)  # type: ignore[arg-type]

@@ -23,7 +23,7 @@ from probe_env.physics.model.chain import (
     outer_start,
     sensor_node,
 )
-from probe_env.physics.model.drive import Drive
+from probe_env.physics.model.drive import APPEND, Drive
 from probe_env.physics.model.state import at_rest, check_points, check_state
 from probe_env.physics.simulation.run import (
     CHANNELS,
@@ -84,9 +84,10 @@ def advance_group(simulators: Sequence[Simulator], samples: Sequence[Samples], d
         entrance = any(s.scene.terms.entrance and (record.points == ROOT).any() for s, record in running)
         for s, record in running:
             room, spare = s.chain.node_count - 1 - s.root, max(s.root - s.sensor - nodes_per_pitch, 0)
-            constants = s.constants_in_air()
             ripple = s.scene.feed_ripple, s.scene.ripple_length
+            drag = s.drag(s.root)
             inputs = s.drive.inputs_of_steps(count, time_step, s.chain.element_length, room, spare, ripple)
+            constants = s.constants_in_air(drag, s.drag(s.root + int(inputs[:, APPEND].sum())), count)
             rows, points = record.rows[first // every : (first + count) // every], record.points  # filled in this call
             if entrance:  # and the node ahead of the root
                 points, rows = np.append(points, ROOT - 1), np.zeros((len(rows), len(points) + 1, CHANNELS))
@@ -258,17 +259,26 @@ class Simulator:
     def _constants(self) -> Any:
         return self.method.constants(self.chain, self.sensor, self.nodes_per_pitch, self.time_step)
 
-    def constants_in_air(self) -> Any:
-        """Constants of the kernel with the drag at the present length, feed and air; used for one kernel call."""
+    def drag(self, root: int) -> FloatArray:
+        """Drag of every node at the present feed and air, with node ``root`` held."""
+        drag = self.chain.drag.copy()
+        if self.scene.air.compressible:
+            floats = drag[:: self.nodes_per_pitch]
+            floats *= drag_factors(
+                self.scene, self.scene.probe.float_pitch * np.arange(len(floats) + 1), self._length_in_helix(root),
+                self.drive.feed_speed, self.drive.air_speed,
+            )  # fmt: skip
+        return drag
+
+    def constants_in_air(self, drag: FloatArray, end: FloatArray, steps: int) -> Any:
+        """Constants of one kernel call, in which the drag changes linearly.
+
+        During withdrawal the pressure at every float falls. A drag that is constant in each call would jump between
+        calls, and friction amplifies these waves by exp(mu l / r) towards the tip.
+        """
         if not self.scene.air.compressible:
             return self.constants
-        drag = self.chain.drag.copy()
-        floats = drag[:: self.nodes_per_pitch]
-        floats *= drag_factors(
-            self.scene, self.scene.probe.float_pitch * np.arange(len(floats) + 1), self.length_in_helix,
-            self.drive.feed_speed, self.drive.air_speed,
-        )  # fmt: skip
-        chain = self.chain._replace(drag=drag)
+        chain = self.chain._replace(drag=drag, drag_rate=(end - drag) / steps)
         return self.method.with_drag(self.constants, chain, self.sensor, self.nodes_per_pitch, self.time_step)
 
     def __repr__(self) -> str:
@@ -290,7 +300,10 @@ class Simulator:
     @property
     def length_in_helix(self) -> float:
         """``inserted_length``, at most the length of the helix [m]."""
-        return min(self.inserted_length, self.scene.tube.helix_length)
+        return self._length_in_helix(self.root)
+
+    def _length_in_helix(self, root: int) -> float:
+        return min(root * self.chain.element_length + self.drive.travel, self.scene.tube.helix_length)
 
     @property
     def feed_speed(self) -> float:
