@@ -182,7 +182,7 @@ def test_report_of_a_recommendation_begins_with_the_best(tmp_path, app):
         "550",
         "9.17",
         "-",
-        "on the way out",
+        "on the way out, \u03bcl/r up to 18",
         "478",
         "7.96",
         "17.5",

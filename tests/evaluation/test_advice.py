@@ -21,6 +21,7 @@ def episodes(speeding=0.0, a90=15.0):
     slow, loud = ("slow", 600.0, 1.0, 0, 0.0, 10.0), ("loud", 400.0, 5.0, 2, 0.0, 12.0)
     policies = pd.DataFrame([slow, loud, ("clean", 500.0, 3.0, 0, speeding, a90)], columns=columns)
     table = policies.merge(pd.DataFrame({"context": range(4), "seed": 0}), how="cross")
+    table = table.assign(friction=0.05 + 0.05 * table["context"], helix_diameter=1.6)
     return table.assign(length_to_repeat_m=(table["context"] < table["repeated"]).astype(float))
 
 
@@ -68,7 +69,7 @@ def test_passes_with_a_probe_that_is_still_on_the_way_out():
     assert header[2] == "hours for 36 tubes"
     assert way_in == ("on the way in, clean", "600", "6", "15")
     a90 = 20.0 * (threshold(task.sensor, 60.0) + norm.ppf(0.9)) / 7.5
-    assert out == ("on the way out", "498", "4.97", f"{a90:.3g}")
+    assert out == ("on the way out, \u03bcl/r up to 15", "498", "4.97", f"{a90:.3g}")
     assert both[:3] == ("on both ways", "860", "8.6")
     assert a90 < float(both[3]) < 1.05 * a90  # half of the false calls, and an insertion that finds nothing
     fast = TaskConfig(instrument={})

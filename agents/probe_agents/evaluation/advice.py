@@ -66,7 +66,8 @@ def compare_passes(table: pd.DataFrame, policy: str, task: TaskConfig, bundle: B
 
     The way out is calculated: at the permitted speed, for a probe that does not vibrate and needs no second pass, after
     an insertion at the fastest feed. On both ways the insertion is that of the policy, once. The withdrawal takes the
-    time of the bundle, or that of the inspection if it is longer. Empty if the table has both passes already, or if
+    time of the bundle, or that of the inspection if it is longer. The row of the way out has the largest mu l / r of
+    the tubes, with which friction amplifies a ripple of the feed. Empty if the table has both passes already, or if
     neither a bundle nor an instrument asks for it.
     """
     if task.returns or not task.growing or goal_of(table.columns) == "reward":
@@ -90,7 +91,8 @@ def compare_passes(table: pd.DataFrame, policy: str, task: TaskConfig, bundle: B
     if has_curves(table):
         a90[0] = float(by_context(table, policy, "a90_percent_wall").mean())
         a90[2] = found(curves_by_tube(table, policy), 0.5)
-    names = f"on the way in, {policy}", "on the way out", "on both ways"
+    amplified = float((table["friction"] / table["helix_diameter"]).max()) * 2.0 * length
+    names = f"on the way in, {policy}", f"on the way out, \u03bcl/r up to {amplified:.2g}", "on both ways"
     figures = zip(names, hours, a90, strict=True)
     rows = (
         (name, short(3600.0 * total / bundle.tubes), *[short(total)] * len(of_bundle), short(depth))
