@@ -4,12 +4,16 @@ import math
 from itertools import product
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pytest
 
 from probe_agents.studies import stability
-from probe_agents.studies.stability import amplification, bounce, run_cell, run_energy
+from probe_agents.studies.stability import STIFFNESS, bounce, run_cell
+from probe_env.physics.closed_forms.bare_chains import AXIAL, RADIAL, DrivenChain, run_chain, uniform_chain
 from probe_env.physics.methods import METHODS
+from probe_env.physics.methods.newmark import Newmark
+from probe_env.physics.model.state import at_rest
 
 FOLDER = Path(__file__).parents[2] / "results" / "stability"
 
@@ -31,19 +35,6 @@ def test_limit_is_stable_and_longest_step_is_not():
     assert not wrong
 
 
-@pytest.mark.slow
-@pytest.mark.processor
-def test_energy_over_a_hundred_thousand_steps():
-    """Kept by Newmark on the linear chain, never gained by implicit nor where damped; the lagged contact flag gains."""
-    table = run_energy()
-    damped = table["damping_time_s"] > 0.0
-    linear = table[~table["walls"] & ~damped].groupby("method")["ratio"]
-    assert linear.get_group("newmark").to_numpy() == pytest.approx(1.0, abs=1e-9)  # 1e-11 of four starts
-    assert (table[damped]["ratio"] < 0.05).all()
-    assert (table[table["method"] == "implicit"]["ratio"] < 1.0).all()
-    assert (table[table["walls"] & ~damped]["ratio"] > 1.0).any()
-
-
 @pytest.mark.parametrize("folder", [FOLDER, FOLDER / "whole"])
 def test_stored_shares_are_those_of_the_stored_map(folder):
     shares = stability.by_step(pd.read_csv(folder / "map.csv"))
@@ -52,8 +43,6 @@ def test_stored_shares_are_those_of_the_stored_map(folder):
 
 def test_a_run_of_the_study_stores_its_tables_and_figures(tmp_path, monkeypatch):
     """Two cells: a step that is stable and one that is not."""
-    monkeypatch.setattr(stability, "run_one_mass", lambda: pd.read_csv(FOLDER / "one_mass.csv"))
-    monkeypatch.setattr(stability, "run_energy", lambda: pd.read_csv(FOLDER / "energy.csv"))
     monkeypatch.setattr(stability, "cells", lambda: [("imex", 1e6, 10.0, 0.05, ratio) for ratio in (1.0, 4.4)])
     table = stability.run(tmp_path)
     stored = pd.read_csv(tmp_path / "map.csv")
@@ -64,7 +53,7 @@ def test_a_run_of_the_study_stores_its_tables_and_figures(tmp_path, monkeypatch)
 
 
 def test_the_whole_model_is_stable_up_to_the_limit(tmp_path, monkeypatch):
-    """The map alone, at one friction; its limit is the study's. `explicit` does not simulate the whole model."""
+    """At one friction; its limit is the study's. `explicit` does not simulate the whole model."""
     scenes = []
     simulator = stability.Simulator
     monkeypatch.setattr(stability, "Simulator", lambda scene, *rest: scenes.append(scene) or simulator(scene, *rest))
@@ -75,9 +64,40 @@ def test_the_whole_model_is_stable_up_to_the_limit(tmp_path, monkeypatch):
     assert table["diverged_at_s"].notna().tolist() == [False, True]
     assert table["method"].tolist() == ["imex", "imex"]
     assert all(scene == scene.whole() for scene in scenes)
-    assert not (tmp_path / "energy.csv").exists()
     step = METHODS["imex"].stable_step(scenes[0], 4)
     assert table["time_step_s"].tolist() == pytest.approx([step, 4.4 * step], rel=1e-5)
+
+
+def amplification(method, spring, omega_dt):
+    """Spectral radius, damping ratio and relative period error of one undamped mode, a mass on a spring.
+
+    The step is linear, so steps from unit vectors give its matrix; the values are of its largest complex eigenvalue z.
+    """
+    compliances = dict.fromkeys(("axial_compliance", "shear_compliance", "bending_compliance"), 1e9)
+    walls = {"contact_stiffness": np.array([STIFFNESS, 0.0])} if spring == "contact" else {}
+    compliances |= {} if walls else {"axial_compliance": 1.0 / STIFFNESS}
+    chain = uniform_chain(1, damping_time=0.0, coupling_compliance=0.0, **compliances, **walls)
+    component, omega = RADIAL if walls else AXIAL, math.sqrt(STIFFNESS / chain.mass)
+    scale, base = np.array([1.0, omega, omega**2]), np.array([-1e-4, 0.0, 0.0])  # deep in the contact spring
+
+    def step(start):
+        state = at_rest(2)
+        state.d[0, component], state.v[0, component], state.memory[0, component] = start * scale
+        run_chain(method, DrivenChain(chain), omega_dt / omega, state, 1, 1)
+        return np.array([state.d[0, component], state.v[0, component], state.memory[0, component]]) / scale
+
+    size = 3 if isinstance(METHODS[method], Newmark) else 2  # acceleration is part of the state of Newmark methods
+    rest, small = step(base), 1e-7
+    values = np.linalg.eigvals(
+        np.array([(step(base + small * unit) - rest) / small for unit in np.eye(3)[:size]]).T[:size]
+    )
+    oscillating = values[np.abs(values.imag) > 1e-9]
+    radius = np.abs(values).max()
+    if not len(oscillating):
+        return radius, math.nan, math.nan
+    z = oscillating[np.abs(oscillating).argmax()]
+    angle = abs(np.angle(z))
+    return radius, -math.log(abs(z)) / angle, omega_dt / angle - 1.0
 
 
 @pytest.mark.parametrize("spring", ["elastic", "contact"])

@@ -1,13 +1,8 @@
-"""Stability of time steps: simulated map, amplification of one mass, energy of passive chains.
+"""Stability of time steps: simulated map, and bounces of one mass.
 
 Map: steps are multiples of ``Simulator.stable_time_step``; for ``implicit``, which has no limit, of Newmark's. A stable
 step is wrong if the bounces of one mass off a contact spring gain or lose more than 5 % of critical damping (not for
 superelements). Steps below a method's ``min_step`` are not run.
-
-One mass on an elastic element or on a contact spring: the step is linear, so steps from unit vectors give the
-amplification matrix. Bounces between two walls show the effect of the contact flag, which is that of the step before.
-
-Passive chains: energy after 100,000 steps.
 """
 
 import math
@@ -30,12 +25,9 @@ from probe_agents.studies.builtin import print_frame
 from probe_agents.studies.chart import STIFFNESSES
 from probe_agents.terminal.tables import print_line
 from probe_env import Scene, SimulationError, Simulator, StabilityWarning
-from probe_env.arrays import FloatArray
 from probe_env.physics.closed_forms import bare_chains
 from probe_env.physics.methods import METHODS, ON_NODES
-from probe_env.physics.methods.newmark import Newmark
-from probe_env.physics.model.chain import Chain
-from probe_env.physics.model.state import State, at_rest
+from probe_env.physics.model.state import at_rest
 
 ROWS = ("stiffness_n_per_m", "length_m", "friction")
 COLOURS = {"stable": "#1f5fa8", "wrong": "#f5b041", "unstable": "#c0392b"}
@@ -48,36 +40,25 @@ WRONG = 0.05
 """Numerical damping ratio of the contact, lost or gained."""
 DURATION = {"explicit": 0.1}  # [s], else 0.5
 
-OMEGA_DT: Final = (0.1, 0.2, 0.3, 0.5, 0.75, 1.0, 1.25, 1.5, 1.8, 1.95, 2.05, 2.5, 3.0, 4.0, 6.0)
 BOUNCES: Final = 60
 GAP, SPEED, STIFFNESS = 1e-3, 0.5, 1e5  # [m], [m/s], [N/m]
-DEEP, SMALL = 1e-4, 1e-7  # [m] where a step starts in its spring, and the differences that give its matrix
-
-STEPS: Final = 100_000
-ELEMENTS: Final = 40
-ROOM, FLOAT_RADIUS = 5.2e-3, 9.5e-3  # [m] of a float between the walls, and its radius
-OMEGA: Final = math.sqrt(STIFFNESS / (0.111 * 0.025))
-CHOSEN: Final = {"implicit": (2.5e-5, 1e-3), "explicit": (5e-6, 5.6e-6)}
-ENERGY_STEPS: Final = {name: CHOSEN.get(name, (method.usual_step, 1.8 / OMEGA)) for name, method in ON_NODES.items()}
-"""Steps [s]: the usual step and the limit, except for ``CHOSEN`` (``implicit`` has no limit)."""
-DAMPING: Final = (0.0, 5e-5)  # [s]
 
 
 def run(output: Path, assumptions: str = "study", workers: Workers = HERE) -> pd.DataFrame:
-    """Run what is not stored of the map, one mass and passive chains; writes tables and map.png.
+    """Run what is not stored of the map; writes map.csv, steps.csv and map.png.
 
-    With ``assumptions="whole"`` the map alone, of the whole model at friction 0.15.
+    With ``assumptions="whole"`` it is of the whole model at friction 0.15.
     """
     whole = assumptions == "whole"
     chosen = [cell for cell in cells() if not whole or (METHODS[cell[0]].simulates_terms and cell[3] == FRICTIONS[1])]
     runs = {cell: cell for cell in chosen}
     table = Store(output / "map.csv", KEYS).fill(runs, lambda cell: [run_cell(*cell, whole=whole)], jobs=workers.jobs)
     table = table.set_index(list(KEYS)).loc[list(runs)].reset_index()
-    tables = {"steps": by_step(table)} | ({} if whole else {"one_mass": run_one_mass(), "energy": run_energy()})
-    write_manifest(output, ["map.csv", *write_tables(output, tables, 5)], commits=table["commit"])
+    steps = by_step(table)
+    write_manifest(output, ["map.csv", *write_tables(output, {"steps": steps}, 5)], commits=table["commit"])
     draw_map(classify(table), output / "map.png")
-    print_frame("Shares of the cells of a step (ratio to the stability limit)", tables["steps"])
-    print_line(f"written: {output}/ (map, {', '.join(tables)} as .csv, map.png)")
+    print_frame("Shares of the cells of a step (ratio to the stability limit)", steps)
+    print_line(f"written: {output}/ (map.csv, steps.csv, map.png)")
     return table
 
 
@@ -159,63 +140,22 @@ def draw_map(table: pd.DataFrame, path: Path) -> None:
     save(figure, path, dpi=90, grid=False)
 
 
-def one_mass(spring: str, stiffness: float = STIFFNESS, gap: float = math.inf) -> tuple[Chain, int]:
-    """A chain of one node on a spring, and the component of its motion."""
-    free = dict.fromkeys(("axial_compliance", "shear_compliance", "bending_compliance"), 1e9)
-    if spring == "elastic":
-        free["axial_compliance"] = 1.0 / stiffness
-        return bare_chains.uniform_chain(1, damping_time=0.0, coupling_compliance=0.0, **free), bare_chains.AXIAL
-    walls = {"contact_stiffness": np.array([stiffness, 0.0]), "outer_gap": np.array([gap, np.inf])}
-    return bare_chains.uniform_chain(1, damping_time=0.0, coupling_compliance=0.0, **free, **walls), bare_chains.RADIAL
-
-
-def _step(method: str, chain: Chain, time_step: float, start: FloatArray, component: int) -> FloatArray:
-    """Displacement, velocity and acceleration of the mass after a step; NaN if it diverged."""
-    state = at_rest(2)
-    state.d[0, component], state.v[0, component], state.memory[0, component] = start
-    if not bare_chains.run_chain(method, bare_chains.DrivenChain(chain), time_step, state, 1, 1).stable:
-        return np.full(3, np.nan)
-    return np.array([state.d[0, component], state.v[0, component], state.memory[0, component]])
-
-
-def amplification(method: str, spring: str, omega_dt: float) -> tuple[float, float, float]:
-    """Spectral radius, damping ratio and relative period error of one undamped mode.
-
-    Values of the largest complex pair z of the matrix; damping is -log|z| / arg z, NaN if no eigenvalue oscillates.
-    """
-    chain, component = one_mass(spring)
-    omega = math.sqrt(STIFFNESS / chain.mass)
-    time_step = omega_dt / omega
-    # acceleration is part of the state of Newmark methods
-    size = 3 if isinstance(METHODS[method], Newmark) else 2
-    scale = np.array([1.0, omega, omega**2])
-    base = np.array([-DEEP, 0.0, 0.0])  # deep enough that a step stays in the contact spring
-    rest = _step(method, chain, time_step, base * scale, component)
-    steps = [_step(method, chain, time_step, (base + SMALL * unit) * scale, component) for unit in np.eye(3)[:size]]
-    values = np.linalg.eigvals(np.array([(step - rest) / SMALL / scale for step in steps]).T[:size])
-    oscillating = values[np.abs(values.imag) > 1e-9]
-    radius = float(np.abs(values).max())
-    if len(oscillating) == 0:
-        return radius, float("nan"), float("nan")
-    z = oscillating[np.abs(oscillating).argmax()]
-    angle = abs(float(np.angle(z)))
-    return radius, float(-math.log(abs(z)) / angle), omega_dt / angle - 1.0
-
-
 def bounce(method: str, omega_dt: float) -> tuple[float, float]:
     """Mean restitution (speed after / before) of many bounces between two walls, and its damping ratio.
 
     A linear spring of damping ratio zeta has restitution exp(-pi zeta); a gain is negative damping. NaN: diverged.
     """
-    chain, component = one_mass("contact", gap=GAP)
+    free = dict.fromkeys(("axial_compliance", "shear_compliance", "bending_compliance"), 1e9)
+    walls = {"contact_stiffness": np.array([STIFFNESS, 0.0]), "outer_gap": np.array([GAP, np.inf])}
+    chain = bare_chains.uniform_chain(1, damping_time=0.0, coupling_compliance=0.0, **free, **walls)
     omega = math.sqrt(STIFFNESS / chain.mass)
     time_step = omega_dt / omega
     period = GAP / SPEED + math.pi / omega
     steps = math.ceil(BOUNCES * period / time_step)
     state = at_rest(2)
-    state.d[0, component], state.v[0, component] = 0.4321 * GAP, -SPEED
+    state.d[0, 1], state.v[0, 1] = 0.4321 * GAP, -SPEED
     run = bare_chains.run_chain(method, bare_chains.DrivenChain(chain), time_step, state, steps, 1)
-    y = run.samples[:, component]
+    y = run.samples[:, 1]
     if not run.stable:
         return float("nan"), float("nan")
     # speeds of free flights: steps that start and end between the walls
@@ -228,44 +168,3 @@ def bounce(method: str, omega_dt: float) -> tuple[float, float]:
         return float("nan"), float("nan")
     restitution = (speeds[-1] / SPEED) ** (1.0 / (len(speeds) - 1))
     return restitution, -math.log(max(restitution, 1e-12)) / math.pi
-
-
-def run_one_mass() -> pd.DataFrame:
-    """Rows of method, spring, omega_dt, spectral_radius, damping, period_error, restitution, bounce_damping."""
-    names = [name for name, method in ON_NODES.items() if method.min_step == 0.0]  # rounding does not show
-    rows = []
-    for method, omega_dt in product(names, OMEGA_DT):
-        restitution, bounce_damping = bounce(method, omega_dt)
-        for spring in ("elastic", "contact"):
-            bounces = (restitution, bounce_damping) if spring == "contact" else (math.nan, math.nan)
-            rows.append((method, spring, omega_dt, *amplification(method, spring, omega_dt), *bounces))
-    columns = ["method", "spring", "omega_dt", "spectral_radius", "damping", "period_error"]
-    return pd.DataFrame(rows, columns=[*columns, "restitution", "bounce_damping"])
-
-
-def run_energy() -> pd.DataFrame:
-    """Energy after 100,000 steps over initial energy, of a frictionless chain with and without walls.
-
-    Columns method, time_step_s, damping_time_s, walls, ratio (infinite where it diverged).
-    """
-    rows, floats = [], np.arange(ELEMENTS + 1) % 4 == 0
-    gaps, levers = np.full(ELEMENTS + 1, ROOM), np.full(ELEMENTS + 1, FLOAT_RADIUS)
-    contact = {"contact_stiffness": np.where(floats, STIFFNESS, 0.0), "outer_gap": gaps, "lever": levers}
-    for (method, steps), damping_time, walls in product(ENERGY_STEPS.items(), DAMPING, (False, True)):
-        chain = bare_chains.bent_chain(ELEMENTS, damping_time=damping_time)._replace(**(contact if walls else {}))  # type: ignore[arg-type]
-        for time_step in steps:
-            state = at_rest(ELEMENTS + 1)
-            state.v[:-1] = np.random.default_rng(0).normal(size=(ELEMENTS, 3)) * (0.1, 0.1, 1.0)
-            before = energy(chain, state)
-            held = bare_chains.run_chain(method, bare_chains.DrivenChain(chain), time_step, state, STEPS, STEPS).stable
-            rows.append((method, time_step, damping_time, walls, energy(chain, state) / before if held else math.inf))
-    return pd.DataFrame(rows, columns=["method", "time_step_s", "damping_time_s", "walls", "ratio"])
-
-
-def energy(chain: Chain, state: State) -> float:
-    """Kinetic, elastic and contact energy [J]."""
-    n = chain.node_count - 1
-    d, v, mass, y = state.d[:n].ravel(), state.v[:n].ravel(), bare_chains.masses(chain), state.d[:n, 1]
-    depth = np.maximum(-y, 0.0) + np.maximum(y - chain.outer_gap[:n], 0.0)
-    wall = (chain.contact_stiffness[:n] * depth**2).sum()
-    return float(0.5 * (mass @ v**2 + (mass * d) @ (bare_chains.linear_matrix(chain) @ d) + wall))
