@@ -25,6 +25,14 @@ def test_rows_are_found_again_and_may_be_replaced(path):
     assert stored_rows(path)["commit"].tolist() == ["aaa"] * 3
 
 
+def test_a_time_step_that_is_no_short_decimal_is_found_again(tmp_path):
+    runs = {(1e-3 / steps,): {"time_step_s": 1e-3 / steps} for steps in (7, 4)}
+    for left in (2, 0):
+        ran = []
+        Store(tmp_path / "rows.csv", ("time_step_s",)).fill(runs, lambda run, ran=ran: ran.append(run) or [run])
+        assert len(ran) == left
+
+
 def test_rows_of_another_commit_are_refused_and_stay(path, monkeypatch):
     before = path.read_bytes()
     monkeypatch.setattr(module, "commit", lambda: "bbb")

@@ -9,7 +9,6 @@ import pytest
 from oracles.chains import bent, matrices, uniform_chain
 from scipy.linalg import expm
 
-from probe_agents.records.store import Store
 from probe_agents.studies import chart, smooth
 from probe_agents.studies.chart import SEGMENT, Setting
 from probe_agents.studies.smooth import orders, resolved
@@ -59,29 +58,6 @@ def test_orders_are_fitted_above_rounding_and_references():
     assert np.isnan(found.loc[("linear", "imex32"), "order"])  # rounding grows as the step shrinks
     assert found.loc[("linear", "imex32"), "time_step_s"] == steps.max()
     assert resolved(table, "contact")["error"].min() >= 1e-3
-
-
-def test_an_interrupted_chart_goes_on(tmp_path):
-    settings = [Setting(length=5.0, time_step=dt, members=2) for dt in (1e-3 / 7, 2.5e-4, 5e-4)]
-    runs, ran = {setting.last: setting for setting in settings}, []
-
-    def filled(limit):
-        def rows_of(setting):
-            if len(ran) == limit:
-                raise KeyboardInterrupt
-            ran.append(setting)
-            return setting.rows()
-
-        return Store(tmp_path / "ensembles.csv", (*Setting().key, "member")).fill(runs, rows_of)
-
-    with pytest.raises(KeyboardInterrupt):
-        filled(1)
-    table = filled(None)
-    assert len(ran) == 3  # nothing twice
-    assert len(table) == 6
-    assert table.groupby("time_step_s")["diverged"].all().to_dict() == {1e-3 / 7: False, 2.5e-4: False, 5e-4: True}
-    filled(None)
-    assert len(ran) == 3  # a seventh of a millisecond is no short decimal, and it is found again
 
 
 def test_errors_of_the_whole_model_are_those_of_its_own_runs(tmp_path, monkeypatch):

@@ -42,7 +42,7 @@ HIGHEST_FREQUENCY = 100.0  # [Hz]
 
 
 def simulate_scene(
-    simulator: Simulator, duration: float, statistics_from: float, output: Path, name: str, quiet: bool = False
+    simulator: Simulator, duration: float, statistics_from: float, output: Path, name: str
 ) -> dict[str, float]:
     """Run a scene with a progress bar and write scene.toml, results.json, signals.npz, manifest.json and figures.
 
@@ -60,7 +60,7 @@ def simulate_scene(
     spacing = round(SHAPE_SPACING / dt) * dt
     snapshots = [last - k * spacing for k in range(SHAPE_COUNT)][::-1] if spacing > 0.0 and last > 0.2 else ()
     layout = "{l_bar}{bar}| {n:.2f}/{total:g} s [{elapsed}<{remaining}]"
-    with tqdm(total=duration, desc=name, disable=quiet, bar_format=layout) as bar:
+    with tqdm(total=duration, desc=name, bar_format=layout) as bar:
 
         def show(time: float) -> None:
             bar.update(time - bar.n)

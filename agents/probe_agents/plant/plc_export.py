@@ -139,17 +139,12 @@ def _real(value: float) -> str:
     return text if "." in text else f"{text}.0"
 
 
-def table(
-    constants: Constants, plant: PlantData, diameters: Sequence[float], helix_length: float, noise: float | None = None
-) -> pd.DataFrame:
-    """Feed and air by helix diameter, friction and inserted length [m], for a controller that stores tables.
-
-    ``noise`` is a radial rms [m]; default: the reference noise of the law.
-    """
+def table(constants: Constants, plant: PlantData, diameters: Sequence[float], helix_length: float) -> pd.DataFrame:
+    """Feed and air by helix diameter, friction and inserted length [m], at the reference noise of the law."""
     lengths = np.append(np.arange(SHORTEST, helix_length, TABLE_STEP), helix_length)
     grid = np.meshgrid(diameters, TABLE_FRICTIONS, lengths, indexing="ij")
     diameter, friction, length = (values.ravel() for values in grid)
-    logarithm = np.full(len(length), np.log(noise or constants.quiet))
+    logarithm = np.full(len(length), np.log(constants.quiet))
     feed, air, _ = law_at(constants, plant, (length, friction, logarithm, diameter))
     columns = {"helix_diameter_m": diameter, "friction": friction, "inserted_length_m": length}
     return pd.DataFrame(columns | {"feed_speed_m_per_s": feed, "air_supply_m3_per_h": 3600.0 * air})

@@ -69,11 +69,11 @@ def parts_of(
     return [dict(part) for part in parts]
 
 
-def print_terms(terms: Mapping[str, str], indent: int = 2) -> None:
+def print_terms(terms: Mapping[str, str]) -> None:
     """Print terms with descriptions, in lines that fit the terminal."""
-    width = max(map(len, terms), default=0) + indent + 2
+    width = max(map(len, terms), default=0) + 4
     for term, text in terms.items():
-        first = f"{'':{indent}}{term}".ljust(width)
+        first = f"  {term}".ljust(width)
         print(
             textwrap.fill(
                 escaped(text), min(Console().width, WIDEST_TEXT), initial_indent=first, subsequent_indent=" " * width,

@@ -6,7 +6,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-import tomli_w
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from probe_agents.policies.bundle import Network
@@ -147,10 +146,6 @@ class Training(Model):
         with _refused("imitation.teacher"):
             assert self.teacher or not self.imitation
         return self
-
-    def to_toml(self) -> str:
-        """The training as TOML text, with all settings."""
-        return tomli_w.dumps(self.model_dump(mode="json", exclude_none=True))
 
     @cached_property
     def task(self) -> TaskConfig:
