@@ -145,7 +145,7 @@ def test_version_and_agents(capsys):
     assert (main(["--version"]), capsys.readouterr().out) == (0, f"probe-env {version('probe-env')}\n")
     assert main(["agents"]) == 0
     printed = " ".join(capsys.readouterr().out.split())
-    for text in ("ppo seeds 0, 1, 2, 3, 4", "tubes of train", "best-both-ways"):
+    for text in ("ppo seeds 0, 1, 2, 3, 4", "tubes of train", "example"):
         assert text in printed
 
 

@@ -48,7 +48,7 @@ CASES: dict[str, tuple[str, ...]] = {
     "evaluate-planner": ("evaluate planner --tube longer.toml --limit 1 --fidelity fast --output out",),
     "evaluate-tube": ("evaluate pi plc-integral --tube tube.toml --limit 2 --fidelity fast --output out",),
     "evaluate-both-ways": (
-        "evaluate best-both-ways own.csv --passes both --tube longer.toml --limit 1 --fidelity fast --output out",
+        "evaluate fast-in own.csv --passes both --tube longer.toml --limit 1 --fidelity fast --output out",
     ),
     "evaluate-random-probes": ("evaluate adaptive pi --probes random --limit 2 --fidelity fast --output out",),
     "evaluate-standard": ("evaluate pi --tube longer.toml --limit 1 --fidelity standard --output out",),

@@ -12,17 +12,15 @@ from probe_agents.cli import main
 from probe_agents.evaluation.statistics import MAX_SECOND
 from probe_agents.plant import recommendation
 from probe_agents.plant.plc_export import recipe_of
-from probe_agents.plant.recommendation import expected_costs, optimal_schedule, root_compression, safe_air
+from probe_agents.plant.recommendation import expected_costs, optimal_schedule
 from probe_agents.plant.response import CHANNELS, Metres, stored_response
 from probe_agents.policies.cases import load_case
 from probe_agents.policies.catalogue import DATA
 from probe_agents.policies.on_map import MARGIN, root_tensions
 from probe_agents.policies.plc_law import PlantData
 from probe_agents.records.tables import read_csv
-from probe_env import Context, Plant, Scene
+from probe_env import Context, Plant
 from probe_env.envs.plants import Bundle, FeedDevice, Supply, Tubes
-from probe_env.envs.vibration_map import feeds
-from probe_env.physics.closed_forms import buckling_load
 from probe_env.scene import Probe
 from probe_env.schedule import Schedule
 
@@ -217,36 +215,6 @@ def test_the_example_plant_keeps_its_drive():
     (feed, air), shape = config.feasible(config.permitted_feed, config.air_supply_rates[1])[0], len(lengths)
     pulls = root_tensions(plant.contexts(96), config, lengths, np.full(shape, feed), np.full(shape, air))
     assert pulls.min() > MARGIN * config.required_tension
-
-
-def test_air_is_safe_in_every_tube():
-    """One step further it is not in one at least; and what the most air does there is what was simulated.
-
-    Of the test tubes the 130 m3/h of the device buckle the cable in number 29 alone, as they did in whole inspections
-    of the study's model; air that expands pushes less.
-    """
-    speeds = feeds(CONFIG)
-    air_in, air_back = safe_air(CONFIG, TRAIN.contexts, speeds)
-    load = buckling_load(CONFIG.scene.probe)
-    for air, safe in ((air_back, True), (air_back + 1.0, False)):
-        assert (max(root_compression(CONFIG, tube, air, speeds[0]) for tube in TRAIN.contexts) <= load / MARGIN) == safe
-    pulls = recommendation.min_root_tension(CONFIG, TRAIN.contexts, np.array([air_in - 1.0, air_in]), speeds[1])
-    assert pulls[0] < MARGIN * CONFIG.required_tension <= pulls[1]
-    unseen = load_case(None, "test").contexts
-    for config, buckled in ((CONFIG.model_copy(update={"scene": Scene()}), [29]), (CONFIG, [])):
-        assert [k for k, tube in enumerate(unseen) if root_compression(config, tube, 130.0, 0.4) > load] == buckled
-    fewer = safe_air(CONFIG, TRAIN.contexts[:6], speeds)
-    assert fewer[0] <= air_in
-    assert fewer[1] >= air_back
-
-
-def test_a_device_without_safe_air_is_refused():
-    for update, message in [
-        ({"required_tension": 50.0}, "the most air pulls with only .* N in the worst tube, and 75 N are needed"),
-        ({"scene": {"probe": {"flexural_rigidity": 0.001}}}, "the least air compresses with .* N; the limit is"),
-    ]:
-        with pytest.raises(ValueError, match=message):
-            safe_air(CONFIG.model_copy(update=update), TRAIN.contexts[:6], (0.1, 0.4))
 
 
 def test_values_outside_the_training_ranges_are_reported():

@@ -1,4 +1,4 @@
-"""Searches of schedules, round trips and PLC constants: known optima are found, resuming, and what is stored."""
+"""Searches of schedules and PLC constants: known optima are found, resuming, and what is stored."""
 
 import json
 from collections.abc import Callable
@@ -8,28 +8,22 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from probe_agents.plant.recommendation import safe_air
 from probe_agents.policies.cases import load_case
 from probe_agents.policies.catalogue import BY_DIAMETER, DATA, make_policy
 from probe_agents.policies.on_map import min_air
 from probe_agents.policies.plc_law import STORED_INTEGRAL, Constants, read_constants
 from probe_agents.records.manifest import commit
 from probe_agents.studies import searches
-from probe_agents.studies.searches import COLUMNS, ROUND_TRIP, MapCost, ranges
-from probe_env import Plant
+from probe_agents.studies.searches import MapCost
 from probe_env.envs.contexts import HELIX_DIAMETERS
-from probe_env.envs.plants import FeedDevice, Supply, Tubes
 from probe_env.envs.task.config import TaskConfig
 from probe_env.envs.vibration_map import stored_map
 from probe_env.files import FileError
 from probe_env.inspection.metrics import POD_NAMES
-from probe_env.schedule import INSERTION, WITHDRAWAL, Schedule
+from probe_env.schedule import Schedule
 
 CONFIG = TaskConfig().full_observation
-RETURNS = load_case(None, "train", 1, "both").config
 TUBES = load_case(None, "train").contexts
-SPACE = ranges(RETURNS, TUBES)
-BEST = dict(zip(COLUMNS, (0.3, 85.0, 0.15, 90.0), strict=True))
 SIMULATED_AT = "0123456789ab"
 Fake = Callable[[Callable[[Any], float]], list[str]]
 
@@ -120,94 +114,6 @@ def test_shorter_search_begins_as_a_longer_one():
 
     both = [searches.search(rewards_of, (0.5, 0.5), generations, "test")[0] for generations in (3, 6)]
     assert (both[0] == both[1][:48]).all()
-
-
-def round_trip_reward(numbers):
-    """Zero at ``BEST``, 40 less over each range; feeds count by their logarithm, air by its range."""
-    total = 0.0
-    for name, (low, high) in SPACE.items():
-        feed = name in (INSERTION["feed_speed_m_per_s"], WITHDRAWAL["feed_speed_m_per_s"])
-        scale = np.log(high / low) if feed else high - low
-        away = np.log(numbers[name] / BEST[name]) if feed else numbers[name] - BEST[name]
-        total -= 40.0 * float(away / scale) ** 2
-    return total
-
-
-def numbers_of(policy):
-    assert isinstance(policy.insertion, searches.Scheduled)
-    passes = [schedule.at(20.0) for schedule in (policy.insertion.schedule, policy.withdrawal)]
-    return dict(zip(COLUMNS, [v for feed, air in passes for v in (float(feed), 3600.0 * float(air))], strict=True))
-
-
-@pytest.mark.slow
-def test_round_trip_search_finds_a_known_optimum(simulate, tmp_path):
-    """In 30 trials to within 0.2 of the maximum, where the reward falls by 40 over each range.
-
-    Six other seeds of the process came to within 0.013; of 2,000 sets of 30 random points one in a hundred to 0.34.
-    """
-    folders = simulate(lambda policy: round_trip_reward(numbers_of(policy)))
-    best = dict(searches.search_round_trip(tmp_path, limit=2, trials=30))
-    assert folders == [*(f"{k:03d}" for k in range(30)), "validation"]
-    assert round_trip_reward(best) > -0.2
-    trials = pd.read_csv(tmp_path / f"{ROUND_TRIP}-trials.csv")
-    assert trials.iloc[int(trials["reward"].argmax())][list(COLUMNS)].to_dict() == pytest.approx(best)
-    for name, (low, high) in SPACE.items():
-        assert trials[name].between(low - 0.5, high + 0.5).all()
-    record = json.loads((tmp_path / f"{ROUND_TRIP}.json").read_text())
-    assert record["schedule"] == best
-    assert {name: tuple(range_) for name, range_ in record["ranges"].items()} == SPACE
-    gain = round_trip_reward(best) - round_trip_reward(dict(searches.starts(RETURNS, SPACE)[0]))
-    assert record["gain"] == pytest.approx({"mean": gain, "low": gain, "high": gain})
-    assert set(record["validated"]) == {ROUND_TRIP, searches.BASELINE}
-    policy = make_policy(str(tmp_path / f"{ROUND_TRIP}.csv"), RETURNS)
-    assert policy.describe()["back"]["feed_speed"][0] == best[COLUMNS[2]]
-
-
-def test_longer_round_trip_search_repeats_the_shorter(simulate, tmp_path):
-    folders = simulate(lambda policy: round_trip_reward(numbers_of(policy)))
-    tables = []
-    for trials in (7, 8):
-        searches.search_round_trip(tmp_path, limit=1, trials=trials)
-        tables.append(pd.read_csv(tmp_path / f"{ROUND_TRIP}-trials.csv"))
-    pd.testing.assert_frame_equal(tables[0], tables[1].iloc[:7])
-    assert folders.count("000") == 2
-
-
-def test_round_trip_file_has_both_passes(tmp_path):
-    path = tmp_path / "both.csv"
-    path.write_text(searches.round_trip_csv(RETURNS, BEST))
-    insertion, withdrawal = Schedule.read(path), Schedule.read_withdrawal(path)
-    assert withdrawal is not None
-    policy = searches.round_trip_policy(RETURNS, BEST)
-    for length in (5.0, 33.0, 60.0):
-        for schedule, (feed, air) in ((insertion, (0.3, 85.0)), (withdrawal, (0.15, 90.0))):
-            assert [float(v) for v in schedule.at(length)] == pytest.approx([feed, air / 3600.0])
-        assert np.allclose(policy.withdrawal.at(length), withdrawal.at(length), rtol=1e-12)
-
-
-def test_round_trip_trials_suit_feed_device_and_supply():
-    """Of a plant with steps, whose air is less than the study's; steps do not round air out of what is safe."""
-    plant = Plant(
-        tube=Tubes(inner_diameter=23e-3, helix_length=45.0),
-        air=Supply(air_supply_rates=(0.0084, 0.015), air_supply_step=0.001),
-        feed=FeedDevice(feed_speeds=(0.03, 0.35), feed_speed_step=0.005),
-    )
-    case = load_case(plant, "train", 6, "both")
-    config, space = case.config, ranges(case.config, case.contexts)
-    rounded = searches.rounded_numbers(config, dict(zip(COLUMNS, (0.1337, 40.0, 0.2, 53.0), strict=True)))
-    assert [rounded[name] for name in COLUMNS] == pytest.approx([0.135, 39.6, 0.2, 54.0])
-    first = searches.starts(config, space)
-    assert all(low - 1e-9 <= one[name] <= high + 1e-9 for one in first for name, (low, high) in space.items())
-    assert [first[0][name] for name in COLUMNS[:2]] == pytest.approx([0.35, 54.0])  # the study's 63 are too high
-    safe_in, safe_back = safe_air(RETURNS, TUBES[:6], SPACE[COLUMNS[0]])
-    for step in (5.0, 7.0, 12.0):  # m3/h
-        config = RETURNS.model_copy(update={"air_supply_step": step / 3600.0})
-        space = ranges(config, TUBES[:6])
-        for fraction in np.linspace(0.0, 1.0, 41):
-            numbers = {name: low + fraction * (high - low) for name, (low, high) in space.items()}
-            rounded = searches.rounded_numbers(config, numbers)
-            assert rounded[COLUMNS[1]] >= safe_in
-            assert rounded[COLUMNS[3]] <= safe_back
 
 
 def test_points_and_constants_are_inverses():

@@ -7,10 +7,8 @@ schedule smooth; settings with too little tension in too many samples are exclud
 import itertools
 import math
 import warnings
-from bisect import bisect_right
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -40,7 +38,6 @@ from probe_env.envs.task.config import TaskConfig
 from probe_env.envs.task.rules import drive_counts, metre_reward, slack
 from probe_env.envs.task.scales import fraction_between
 from probe_env.envs.vibration_map import expected_cost, feeds
-from probe_env.physics.closed_forms import buckling_load, steady_tensions
 from probe_env.schedule import Schedule
 
 MEASURES: Final = {"displacement": "rf_noise_rms", "acceleration": "radial_acceleration_rms"}
@@ -131,10 +128,7 @@ def recommend(
     for text in outside_training(case.contexts, response, case.config):
         warnings.warn(f"outside the training range of the response: {text}", OutsideDomain, stacklevel=2)
     if case.config.returns:
-        print_line(
-            f"{output.stem} is for the insertion; the withdrawal is at the fastest feed. For both passes use"
-            " probe-env study best-round-trip"
-        )
+        print_line(f"{output.stem} is for the insertion; the withdrawal is at the fastest feed")
     start_air = route_air(plant, case.contexts)
     bundle = plant.bundle_for(case.config) if plant else None
     optimum = optimal_schedule(case.contexts, response, case.config, start_air, bundle)
@@ -432,58 +426,3 @@ def cheapest_path(staged: FloatArray, change: FloatArray) -> list[int]:
     for best in reversed(came_from):
         path.append(int(best[path[-1]]))
     return path[::-1]
-
-
-def safe_air(config: TaskConfig, tubes: Sequence[Context], feeds: tuple[float, float]) -> tuple[float, float]:
-    """Least air for insertion and most for withdrawal [m3/h]: whole numbers, or steps of the device.
-
-    Too little air loses the drive; too much buckles the cable in the withdrawal. ``MARGIN`` is for vibration.
-
-    Args:
-        config: task: range of the air, required tension, probe and bore.
-        tubes: tubes in all of which the air must be safe.
-        feeds: slowest and fastest feed [m/s]; the fastest has the least tension, the slowest the most compression.
-    """
-    slowest, fastest = feeds
-    minimum, maximum = (3600.0 * air for air in config.air_supply_rates)
-    whole = np.append(np.arange(math.ceil(minimum), maximum), (minimum, maximum)) / 3600.0
-    # bounds in steps of the device, so that no air between them is rounded to a value outside
-    airs = np.unique(np.round(3600.0 * config.feasible(np.full_like(whole, fastest), whole)[:, 1], 9))
-    pulls, enough = min_root_tension(config, tubes, airs, fastest), MARGIN * config.required_tension
-    if not (pulls >= enough).any():
-        problem = f"air_supply_rates up to {maximum:.4g} m3/h: the most air pulls with only {pulls.max():.3g} N"
-        needed = f"{enough:.3g} N are needed ({MARGIN:g} times required_tension)"
-        raise ValueError(f"{problem} in the worst tube, and {needed}")
-    safe_load = buckling_load(config.scene.probe) / MARGIN
-    safe_count = min(
-        bisect_right(airs, safe_load, key=partial(root_compression, config, tube, feed=slowest)) for tube in tubes
-    )
-    if safe_count == 0:
-        max_compression = max(root_compression(config, tube, airs[0], slowest) for tube in tubes)
-        problem = f"air_supply_rates from {minimum:.4g} m3/h: the least air compresses with {max_compression:.3g} N"
-        limit = f"{safe_load:.3g} N (buckling load between two floats over {MARGIN:g})"
-        raise ValueError(f"{problem}; the limit is {limit}")
-    return float(airs[pulls >= enough].min()), float(airs[safe_count - 1])
-
-
-def min_root_tension(config: TaskConfig, tubes: Sequence[Context], airs: FloatArray, feed: float) -> FloatArray:
-    """(a,) smallest root tension of an insertion [N] over tubes and lengths at which lost drive is scored, by air."""
-    lengths = np.linspace(FIRST, config.scene.tube.helix_length, 23)
-    lengths = lengths[drive_counts(config, lengths)]
-    air, length = np.repeat(airs / 3600.0, len(lengths)), np.tile(lengths, len(airs))
-    tension = root_tensions(tubes, config, length, np.full(len(length), feed), air)
-    return np.asarray(tension.min(axis=0).reshape(len(airs), -1).min(axis=1, initial=np.inf))
-
-
-def root_compression(config: TaskConfig, tube: Context, air: float, feed: float) -> float:
-    """Root compression on withdrawal [N] with all of the cable inserted; it grows with the air [m3/h]."""
-    scene = config.scene
-    drawn = {
-        "tube": {"helix_diameter": tube.helix_diameter},
-        "contact": {"friction": tube.friction},
-        "air": {"drag_coefficient": scene.air.drag_coefficient * tube.drag_factor},
-        "carrier_length": scene.tube.helix_length - scene.probe.guide_length,
-        "feed_speed": -feed,
-        "air_supply_rate": -air / 3600.0,
-    }
-    return -float(steady_tensions(scene.model_copy(update=drawn))[-1])

@@ -36,7 +36,7 @@ CLASS: Final = re.compile(r"(?P<module>[A-Za-z_][\w.]*):(?P<name>[A-Za-z_]\w*)")
 """A policy class of the user: importable module, class name."""
 REPLACED: Final = {
     "ppo-any-probe": "adaptive", "planner-blurred": "planner-averaged", "planner-estimated": "planner-inferred",
-    "both-ways": "best-both-ways",
+    "both-ways": "fast-in", "best-both-ways": "fast-in",
 }  # fmt: skip
 """Removed policies and what replaced them."""
 

@@ -76,10 +76,6 @@ BUILT_IN: Final[dict[str, BuiltIn]] = {
         "searches.search_schedules", "Searches best-constant and best-schedule.",
         {"trials": Count("schedules in each search"), "tube": None},
     ),
-    "best-round-trip": BuiltIn(
-        "searches.search_round_trip", "Searches feed and air of insertion and withdrawal.",
-        {"limit": Count("training tubes", 96), "trials": Count("schedules"), "tube": None},
-    ),
     "response": BuiltIn(
         "response.run", "Makes the response model of calibrations.", {"limit": Count("groups of 32 insertions", 256)}
     ),

@@ -88,14 +88,13 @@ def learning_table(results: Path = RESULTS) -> str:
         f"| algorithm | seeds | {' | '.join(f'{n:,.0f} steps' for n in steps)} |",
         "|---|---:|" + "---:|" * len(steps),
     ]
-    for name, trained in rows.groupby("recipe", sort=False):
+    for name, recipe in RECIPES.items():
+        trained = rows[rows["recipe"] == name]
         rewards = (trained.loc[trained["steps"] == n, "reward"] for n in steps)
         cells = (f"{reward.mean():.1f} ({reward.min():.1f} to {reward.max():.1f})" for reward in rewards)
-        settings = "".join(f", `{key}={value}`" for key, value in RECIPES[name].settings.items())
-        tuned = f" (chosen in {RECIPES[name].tuning} trainings)" if RECIPES[name].tuning else ""
-        lines.append(
-            f"| {RECIPES[name].algorithm}{settings}{tuned} | {trained['seed'].nunique()} | {' | '.join(cells)} |"
-        )
+        settings = "".join(f", `{key}={value}`" for key, value in recipe.settings.items())
+        tuned = f" (chosen in {recipe.tuning} trainings)" if recipe.tuning else ""
+        lines.append(f"| {recipe.algorithm}{settings}{tuned} | {trained['seed'].nunique()} | {' | '.join(cells)} |")
     others = ", ".join(f"`{name}` {rivals[name]:.1f}" for name in RIVALS)
     return "\n".join([*lines, "", f"In the same 24 tubes: {others}."])
 

@@ -4,28 +4,24 @@ Searches on the vibration map are deterministic and take minutes; an interrupted
 are stored and not run again.
 """
 
-import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-import optuna
 import pandas as pd
 from cmaes import CMA
 from tqdm import tqdm
 
 from probe_agents.evaluation.plan import Plan, run_plan
-from probe_agents.evaluation.statistics import a90_95, paired_difference
+from probe_agents.evaluation.statistics import paired_difference
 from probe_agents.evaluation.workers import HERE, Workers
-from probe_agents.plant.recommendation import safe_air
-from probe_agents.policies.cases import EvaluationCase, load_case, map_of, plant_at, read_case
-from probe_agents.policies.fixed import STUDY_AIR, Scheduled
+from probe_agents.policies.cases import EvaluationCase, load_case, map_of, plant_at
+from probe_agents.policies.fixed import Scheduled
 from probe_agents.policies.on_map import FIRST, min_air
 from probe_agents.policies.plc_law import STORED_INTEGRAL, Constants, PlcIntegral, read_constants
 from probe_agents.policies.policy import Policy
-from probe_agents.policies.wrappers import RoundTripPolicy, insertion_task
 from probe_agents.records.atomic import write_atomically
 from probe_agents.records.manifest import commit, origin, write_json
 from probe_agents.records.shipped import file_or_shipped
@@ -40,7 +36,7 @@ from probe_env.envs.task.rules import metre_reward
 from probe_env.envs.task.scales import fraction_between, geometric_at, geometric_fraction, value_at
 from probe_env.envs.vibration_map import CONTEXT, VibrationMap, check_measure, expected_cost, feeds, stored_map
 from probe_env.fidelity import resolve_fidelity
-from probe_env.schedule import AIR, CSV_COMMENT, FEED, INSERTION, WITHDRAWAL, Schedule
+from probe_env.schedule import Schedule
 from probe_env.settings import range_of
 
 
@@ -205,127 +201,6 @@ def search_schedule(
     print(f"{name}: " + ", ".join(f"{key} {value:.4g}" for key, value in setting.items()))
     print(best.to_csv())
     return best
-
-
-# Feed and air of insertion and withdrawal, in simulation: the vibration map does not cover withdrawal
-
-ROUND_TRIP: Final = "best-both-ways"
-COLUMNS: Final = (*INSERTION.values(), *WITHDRAWAL.values())
-"""Search parameters: columns of a schedule file."""
-STARTUP_TRIALS: Final = 5
-"""Random trials before the Gaussian process is used, including ``starts``."""
-KPIS: Final = ("reward", "inspection_time_s", "a90_percent_wall")
-BASELINE: Final = "fastest"
-SLOWEST: Final = 0.25
-"""Fraction of the highest feed: slower round trips take most of the time limit."""
-Numbers = Mapping[str, float]  # column of ``COLUMNS`` -> value [m/s], [m3/h]
-Space = Mapping[str, tuple[float, float]]  # column of ``COLUMNS`` -> search range
-
-
-def ranges(config: TaskConfig, tubes: Sequence[Context]) -> Space:
-    """Search ranges, with air that is safe in all tubes, see ``safe_air``."""
-    minimum, maximum = (3600.0 * air for air in config.air_supply_rates)
-    feeds = max(SLOWEST * config.feed_speeds[1], config.feed_speeds[0]), config.feed_speeds[1]
-    air_in, air_back = safe_air(config, tubes, feeds)
-    return dict(zip(COLUMNS, (feeds, (air_in, maximum), feeds, (minimum, air_back)), strict=True))
-
-
-def starts(config: TaskConfig, space: Space) -> list[Numbers]:
-    """First trials: highest feed for both passes, and half of it for the withdrawal, with the study's air."""
-    fast, air = config.feed_speeds[1], 3600.0 * STUDY_AIR
-    low, high = np.array(list(space.values())).T
-    rows = np.clip([(fast, air, fast, air), (fast, air, 0.5 * fast, air)], low, high).tolist()
-    return [rounded_numbers(config, dict(zip(COLUMNS, row, strict=True))) for row in rows]
-
-
-def rounded_numbers(config: TaskConfig, numbers: Numbers) -> dict[str, float]:
-    """Feed to three digits and air in whole m3/h, as the feed device and the supply can set them."""
-    rounded: dict[str, float] = {}
-    for columns in (INSERTION, WITHDRAWAL):
-        targets = round(numbers[columns[FEED]], 3), round(numbers[columns[AIR]]) / 3600.0
-        feed, air = (float(value) for value in config.feasible(*targets)[0])
-        rounded |= {columns[FEED]: round(feed, 9), columns[AIR]: round(3600.0 * air, 9)}
-    return rounded
-
-
-def round_trip_policy(config: TaskConfig, numbers: Numbers) -> RoundTripPolicy:
-    """A schedule with constant feed and air in each pass."""
-    insertion, withdrawal = (
-        Schedule("inserted_length", "linear", (FIRST,), (numbers[columns[FEED]],), (numbers[columns[AIR]] / 3600.0,))
-        for columns in (INSERTION, WITHDRAWAL)
-    )
-    return RoundTripPolicy(config, Scheduled(insertion_task(config), insertion), withdrawal)
-
-
-def round_trip_csv(config: TaskConfig, numbers: Numbers) -> str:
-    """The schedule file, for ``Schedule.read`` and ``read_withdrawal``."""
-    values = ",".join(f"{numbers[name]:.6g}" for name in COLUMNS)
-    ends = (FIRST, config.scene.tube.helix_length)
-    lines = (f"{CSV_COMMENT} linear", ",".join(("inserted_length_m", *COLUMNS)), *(f"{end:g},{values}" for end in ends))
-    return "\n".join(lines) + "\n"
-
-
-def search_round_trip(
-    output: Path, limit: int = 12, trials: int = 40, tube: Path | None = None, workers: Workers = HERE
-) -> Numbers:
-    """Search by Bayesian optimisation, and evaluate the best in the validation tubes; writes ``ROUND_TRIP`` files.
-
-    ``trials`` is the number of schedules, including ``starts``; ``limit`` the number of training tubes per schedule.
-    """
-    whole, played = read_case(tube, "train", 0, "both"), output / "simulated"
-    train, unseen = whole._replace(contexts=whole.contexts[:limit]), load_case(whole.plant, "validation", 0, "both")
-    config = whole.config.full_observation
-    space = ranges(config, whole.contexts)
-    print_line(f"{trials} trials of {limit} inspections each, stored in {played}; stored ones are not run again")
-    rows, commits = [], []
-    for number, (trial, study) in enumerate(_suggestions(trials, config, space)):
-        numbers = rounded_numbers(config, trial.params)
-        plan = plan_of({"trial": round_trip_policy(config, numbers)}, train)
-        table = run_plan(plan, played / f"{number:03d}", progress=False, workers=workers)
-        means = {kpi: float(table[kpi].mean()) for kpi in KPIS}
-        study.tell(trial, means["reward"])
-        rows.append(numbers | means | {"a90_95_percent_wall": a90_95(table, "trial")})
-        commits += list(table["commit"])
-    tried = pd.DataFrame(rows)
-    row = tried.iloc[int(tried["reward"].to_numpy().argmax())].to_dict()
-    best = {column: row[column] for column in COLUMNS}
-    compared = {ROUND_TRIP: best, BASELINE: starts(config, space)[0]}
-    policies = {one: round_trip_policy(config, numbers) for one, numbers in compared.items()}
-    table = run_plan(plan_of(policies, unseen), played / "validation", workers=workers)
-    validated = {one: table[table["policy"] == one][list(KPIS)].mean().to_dict() for one in compared}
-    gain = paired_difference(table, ROUND_TRIP, BASELINE, "reward")
-    record: dict[str, Any] = {
-        "schedule": best,
-        "scored_pass": config.scored_pass,
-        "training_tubes": limit,
-        "trials": trials,
-    }
-    record |= {"reward": row["reward"], "ranges": space, "validation_tubes": len(unseen.contexts)}
-    record |= {"validated": validated, "gain": asdict(gain)}
-    write_atomically(output / f"{ROUND_TRIP}.csv", round_trip_csv(config, best))
-    write_search(output, ROUND_TRIP, tried, origin(commits=[*commits, *table["commit"]]) | record)
-    rows = [{"schedule": one} | dict(compared[one]) | validated[one] for one in compared]
-    print_frame(f"In {len(unseen.contexts)} validation tubes", pd.DataFrame(rows))
-    print(f"{ROUND_TRIP}: reward minus that of {BASELINE}: {gain.text()} (95 % interval)")
-    print_line(f"written: {output}/ ({ROUND_TRIP}.csv: a schedule to evaluate, {ROUND_TRIP}-trials.csv and .json)")
-    return best
-
-
-def _suggestions(trials: int, config: TaskConfig, space: Space) -> Iterator[tuple[optuna.Trial, optuna.Study]]:
-    """Trials of a Gaussian process in memory, which is deterministic; feeds are logarithmic."""
-    optuna.logging.set_verbosity(optuna.logging.ERROR)  # without greenlet: slower, same result
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
-        sampler = optuna.samplers.GPSampler(seed=0, n_startup_trials=STARTUP_TRIALS)
-    study = optuna.create_study(direction="maximize", sampler=sampler)
-    for numbers in starts(config, space):
-        study.enqueue_trial(dict(numbers))
-    distributions: dict[str, optuna.distributions.BaseDistribution] = {
-        name: optuna.distributions.FloatDistribution(*space[name], log=name in (INSERTION[FEED], WITHDRAWAL[FEED]))
-        for name in COLUMNS
-    }
-    for _ in tqdm(range(trials), desc=ROUND_TRIP, unit="trial"):
-        yield study.ask(distributions), study
 
 
 # Constants of plc-integral, in simulation
