@@ -75,7 +75,7 @@ def test_the_profile_of_both_passes_reaches_to_the_turn():
 def test_a_policy_with_other_ranges_of_actions_is_refused():
     """Loaded for the task of its training, an agent supplied 30 m3/h where it meant 72.5."""
     narrow = TaskConfig(air_supply_rates=(0.02, 0.036))
-    message = r"policy narrow: air_supply_rates = \(0.02, 0.036\) differs from \(0.0083.*make it for this task"
+    message = r"policy narrow: air_supply_rates = \(0.02, 0.036\) differs from \(0.0083.*make the policy for this task"
     with pytest.raises(ValueError, match=message):
         Plan({"wide": Constant(TaskConfig()), "narrow": Constant(narrow)}, [Context()])
 

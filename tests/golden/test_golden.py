@@ -149,7 +149,7 @@ def nudge(reset: Callable[[Simulator], None], shift: int) -> None:
 
 def write_expected(names: list[str]) -> None:
     """Write cases, default all, to expected.json: {case: {"file, column": [bound, cell, cell, ...]}}."""
-    reset, stored = Simulator.reset, json.loads(EXPECTED.read_text())
+    reset, stored = Simulator.reset, json.loads(EXPECTED.read_text()) if names else {}
     for name in names or CASES:
         runs = []
         for shift in range(1 + NUDGES * (name.partition("-")[0] not in ("log", "plc"))):

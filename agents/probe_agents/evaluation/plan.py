@@ -75,7 +75,7 @@ class Plan:
         plant: name of the plant, for the report.
 
     Raises:
-        ValueError: a policy was made for other ranges of feed and air, so its actions would mean other values.
+        ValueError: a policy was made for other ranges of feed or air, so its actions mean other values.
     """
 
     policies: Mapping[str, Policy]
@@ -90,11 +90,15 @@ class Plan:
 
     def __post_init__(self) -> None:
         for name, policy in self.policies.items():
-            made = getattr(policy, "config", self.config)
+            task = getattr(policy, "config", None)
+            if not isinstance(task, TaskConfig):
+                continue
             for limits in ("feed_speeds", "air_supply_rates"):
-                if (own := getattr(made, limits)) != (here := getattr(self.config, limits)):
+                policy_range, task_range = getattr(task, limits), getattr(self.config, limits)
+                if policy_range != task_range:
                     raise ValueError(
-                        f"policy {name}: {limits} = {own} differs from {here} of the task: make it for this task"
+                        f"policy {name}: {limits} = {policy_range} differs from {task_range} of the task:"
+                        " make the policy for this task, or load its bundle with the task's config"
                     )
 
     def folder(self, path: Path) -> ResultFolder:

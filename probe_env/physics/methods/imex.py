@@ -455,9 +455,10 @@ def to_root(state, memory, factors, nodes, drive, rates, model, coupling, compre
             rise = load(state, q + layout.GY) / tau  # stored if contact is damped
             float_ = float_at(i, floats)
             if len(varied) > 0:
-                drag, place = load(drags, i // per_pitch), len(drags) // 2 + i // per_pitch
+                float_number = i // per_pitch
+                drag = load(drags, float_number)
                 float_ = float_[0], float_[1], drag
-                store(drags, i // per_pitch, drag + load(drags, place))
+                store(drags, float_number, drag + load(drags, len(drags) // 2 + float_number))
             if len(sticking) > 0:
                 at_held = i * layout.MEMORY + layout.HELD
                 cx, cy, ct, grip = held_forces(

@@ -101,7 +101,7 @@ class NodeLanes(LaneMethod):
             point = 1.0 / (1.0 + lever**2 * chain.mass / chain.inertia)  # mass of the point of contact over the node's
             values[GRIP] = min(values[STIFFNESS] * time_step, point / time_step)
         drag = own_drag(chain, sensor, nodes_per_pitch)
-        drags = None if drag is None else np.stack([drag, 0.0 * drag]) / chain.mass
+        drags = None if drag is None else np.stack([drag, np.zeros_like(drag)]) / chain.mass
         return values, self.factors(chain, time_step), drags
 
     def with_drag(self, constants: Any, chain: Chain, sensor: int, nodes_per_pitch: int, time_step: float) -> Any:

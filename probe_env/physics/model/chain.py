@@ -53,7 +53,7 @@ class Chain(NamedTuple):
     outer_gap: FloatArray  # d_in - d_f; infinite with the inner wall alone
     lever: FloatArray  # d_f / 2
     drag: FloatArray  # c_D rho_f (A_f - A_c) / 2, 0 where there is no float
-    drag_rate: FloatArray  # change of the drag in each step, which changes the array; empty: constant
+    drag_rate: FloatArray  # added to ``drag`` after each step, in place; empty: constant drag
     support_stiffness: FloatArray  # (n + 1, 3) springs to the moving frame
     load: FloatArray  # (n + 1, 3) constant external load
 

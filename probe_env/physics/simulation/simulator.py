@@ -85,9 +85,10 @@ def advance_group(simulators: Sequence[Simulator], samples: Sequence[Samples], d
         for s, record in running:
             room, spare = s.chain.node_count - 1 - s.root, max(s.root - s.sensor - nodes_per_pitch, 0)
             ripple = s.scene.feed_ripple, s.scene.ripple_length
-            drag = s.drag(s.root)
+            drag = s.drag(s.root) if s.scene.air.compressible else None
             inputs = s.drive.inputs_of_steps(count, time_step, s.chain.element_length, room, spare, ripple)
-            constants = s.constants_in_air(drag, s.drag(s.root + int(inputs[:, APPEND].sum())), count)
+            end = s.root + int(inputs[:, APPEND].sum())
+            constants = s.constants if drag is None else s.constants_in_air(drag, s.drag(end), count)
             rows, points = record.rows[first // every : (first + count) // every], record.points  # filled in this call
             if entrance:  # and the node ahead of the root
                 points, rows = np.append(points, ROOT - 1), np.zeros((len(rows), len(points) + 1, CHANNELS))
@@ -262,12 +263,11 @@ class Simulator:
     def drag(self, root: int) -> FloatArray:
         """Drag of every node at the present feed and air, with node ``root`` held."""
         drag = self.chain.drag.copy()
-        if self.scene.air.compressible:
-            floats = drag[:: self.nodes_per_pitch]
-            floats *= drag_factors(
-                self.scene, self.scene.probe.float_pitch * np.arange(len(floats) + 1), self._length_in_helix(root),
-                self.drive.feed_speed, self.drive.air_speed,
-            )  # fmt: skip
+        floats = drag[:: self.nodes_per_pitch]
+        floats *= drag_factors(
+            self.scene, self.scene.probe.float_pitch * np.arange(len(floats) + 1), self._length_in_helix(root),
+            self.drive.feed_speed, self.drive.air_speed,
+        )  # fmt: skip
         return drag
 
     def constants_in_air(self, drag: FloatArray, end: FloatArray, steps: int) -> Any:
@@ -276,8 +276,6 @@ class Simulator:
         During withdrawal the pressure at every float falls. A drag that is constant in each call would jump between
         calls, and friction amplifies these waves by exp(mu l / r) towards the tip.
         """
-        if not self.scene.air.compressible:
-            return self.constants
         chain = self.chain._replace(drag=drag, drag_rate=(end - drag) / steps)
         return self.method.with_drag(self.constants, chain, self.sensor, self.nodes_per_pitch, self.time_step)
 
