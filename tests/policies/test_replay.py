@@ -15,6 +15,7 @@ from probe_env.envs.episodes import Episodes
 from probe_env.envs.trials import PolicyBatch
 from probe_env.fidelity import PRESETS
 from probe_env.files import FileError
+from probe_env.inspection.instrument import Instrument
 from probe_env.schedule import Schedule
 
 ROUNDING = 1e-4  # [m]: lengths are observed as float32 shares of 60 m, thousands of them
@@ -95,13 +96,16 @@ def test_late_observations_are_followed_without_swinging(tmp_path):
 
 
 def test_a_log_is_followed_from_where_the_episode_begins(tmp_path):
-    """What lies before is left out; a log that begins further in is caught up with, at most at the fastest feed."""
+    """What lies before is left out; a log that begins further in is caught up with, at most at the permitted feed."""
     config = TaskConfig()
     for start, skipped in ((5.0, 0.0), (3.0, 10.0), (6.0, 0.0)):
         lengths, targets = fed_by_device(replay_of(tmp_path, config, [0.2], 150.0, start), config, 100.0)
         wanted = start + 0.2 * (skipped + np.arange(1.0, 101.0))
         assert np.abs(lengths - wanted)[20:].max() <= 0.01 + ROUNDING, start
         assert targets[0] == pytest.approx(0.4 if start > 5.0 else 0.2, rel=1e-4)
+    slower = config.model_copy(update={"instrument": Instrument(highest_speed=0.3)})
+    _, targets = fed_by_device(replay_of(tmp_path, slower, [0.2], 150.0, 6.0), slower, 100.0)
+    assert targets.max() == pytest.approx(0.3, rel=1e-4)
     without = Schedule("time", "steps", (0.0, 150.0), (0.2, 0.2), (0.02, 0.02))
     free, _ = fed_by_device(Replayed(config, without), config, 100.0)
     assert free == pytest.approx(5.0 + 0.2 * np.arange(1.0, 101.0), abs=ROUNDING)

@@ -34,7 +34,8 @@ def choose(table: pd.DataFrame, oracles: Collection[str]) -> tuple[str, str, Row
     """The advised policy, a sentence on what others do better, and a table; of those within the limits, no oracles.
 
     A row for each policy that is best by goal (``with_goal``), a90 or reward: these criteria, the policy, and by each
-    criterion the mean with its interval, or below the advised policy the paired difference to it.
+    criterion the mean with its interval, or below the advised policy the paired difference to it. The sentence names
+    policies whose difference by goal may be zero.
     """
     labels, goal = displayed_kpis(table.columns), goal_of(table.columns)
     order = [name for name in ranking(table) if name not in oracles] or ranking(table)
@@ -56,6 +57,9 @@ def choose(table: pd.DataFrame, oracles: Collection[str]) -> tuple[str, str, Row
         rows.append((", ".join(names), policy, *cells))
     others = (f", by {' and '.join(names)} {policy}" for policy, names in best.items() if policy != first)
     sentence = f"{first} is best by {' and '.join(best[first])}{''.join(others)}"
+    differences = {name: paired_difference(table, name, first, goal) for name in (within or order) if name != first}
+    if unclear := [name for name, found in differences.items() if found.low <= 0.0 <= found.high]:
+        sentence += f"; not clearly better by {labels[goal][0]} than {', '.join(unclear)}"
     if not within:
         sentence = f"no schedule is within the limits ({broken_limits(table, first)}); of all, {sentence}"
     return first, sentence, tuple(rows)

@@ -112,8 +112,9 @@ class Scheduled(FixedPolicy):
 class Replayed(FixedPolicy):
     """A schedule over time, such as a log: the inserted length follows that of the schedule.
 
-    Feeds below half of the slowest feed are standstills. Deviations are corrected in the next period. The schedule
-    begins at its start length, or at the length at the start of the episode. After its end the last feed continues.
+    Feeds below half of the slowest feed are standstills. Deviations are corrected in the next period, with the
+    permitted feed at most. The schedule begins at its start length, or at the length at the start of the episode.
+    After its end the last feed continues.
     """
 
     schedule: Schedule
@@ -135,9 +136,11 @@ class Replayed(FixedPolicy):
         measured_at = np.maximum(now - late * period, memory[:, 0])
         lag = memory[:, 1] + schedule.fed_length(measured_at) - inserted
         fraction = 1.0 / (1.0 + 2.0 * late)  # stable for every delay: below 2 sin(pi / (4 late + 2))
-        target = (schedule.fed_length(now + period) - schedule.fed_length(now) + fraction * lag) / period
+        planned = (schedule.fed_length(now + period) - schedule.fed_length(now)) / period
+        target = planned + fraction * lag / period
         slow, fast = self.config.feed_speeds
-        feed = np.where(target < 0.5 * slow, 0.0, np.clip(target, slow, fast))
+        fastest = np.clip(planned, self.config.permitted_feed, fast)
+        feed = np.where(target < 0.5 * slow, 0.0, np.clip(target, slow, fastest))
         last, air = schedule.at(now)
         return np.where(now < schedule.position[-1], feed, np.clip(last, slow, fast)), air
 
