@@ -143,7 +143,8 @@ def evaluate_plan(
         print_table(f"Hours for {plan.bundle.tubes} tubes with 95 % intervals", statistics.BUNDLE_HEADER, hours)
     if goal_of(done.table.columns) != "reward":
         policy, sentence, choice = choose(done.table, oracle_policies(done))
-        print_table("Which schedule; below the first row differences to it", choice[0], choice[1:], left=2)
+        title = "Which schedule, of those within the limits, few second passes; below the first row differences"
+        print_table(title, choice[0], choice[1:], left=2)
         print_line(sentence)
         if passes := compare_passes(done.table, policy, plan.config, plan.bundle):
             print_table("Way in or way out; the way out as calculated, see the report", passes[0], passes[1:])

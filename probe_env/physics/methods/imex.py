@@ -405,12 +405,12 @@ def to_root(state, memory, factors, nodes, drive, rates, model, coupling, compre
     """Kick and elimination of all nodes, including the root; returns the largest |y| of the floats.
 
     ``compressed`` and ``options`` as in ``imex_advance``, the former with one entry less if no cable is near a wall,
-    which skips contact checks. ``terms``: the drags of floats, weight and grip of friction, and for the shortening the
-    roots, EA / 2 and cosine and sine of the frame angle over the mass.
+    which skips contact checks. ``terms``: the drags of floats and the steps that they have changed for, weight and grip
+    of friction, and for the shortening the roots, EA / 2 and cosine and sine of the frame angle over the mass.
     """
     top, _, last, per_pitch = nodes
     weighed, varied, shortened, sticking, _ = options
-    drags, friction, (held, rigidity, cosine, sine) = terms
+    (drags, steps), friction, (held, rigidity, cosine, sine) = terms
     speed, slope, air = drive
     dt, tau, rate = rates
     kappa, couple, floats, wall = model
@@ -455,10 +455,8 @@ def to_root(state, memory, factors, nodes, drive, rates, model, coupling, compre
             rise = load(state, q + layout.GY) / tau  # stored if contact is damped
             float_ = float_at(i, floats)
             if len(varied) > 0:
-                float_number = i // per_pitch
-                drag = load(drags, float_number)
-                float_ = float_[0], float_[1], drag
-                store(drags, float_number, drag + load(drags, len(drags) // 2 + float_number))
+                number = i // per_pitch
+                float_ = float_[0], float_[1], load(drags, number) + steps * load(drags, len(drags) // 2 + number)
             if len(sticking) > 0:
                 at_held = i * layout.MEMORY + layout.HELD
                 cx, cy, ct, grip = held_forces(
@@ -519,7 +517,8 @@ def imex_advance(
         top, bottom = tops[step], bottoms[step]
         nodes = top, bottom, last, per_pitch
         held = load(parameters, layout.ROOT)
-        terms = drags, friction, (held, load(parameters, layout.STRETCH), frame_cosine, frame_sine)
+        stretch = held, load(parameters, layout.STRETCH), frame_cosine, frame_sine
+        terms = (drags, splat(parameters, float(step))), friction, stretch
         if len(compressed) > 1 and (near or top != tops[step - 1]):  # a node appended at the root was not checked
             peak = to_root(state, memory, factors, nodes, drive, rates, model, coupling, compressed, options, terms)
         else:
