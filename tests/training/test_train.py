@@ -115,7 +115,7 @@ def test_training_continues_after_stops_and_kills(tmp_path, monkeypatch):
     assert killed_at("probe_agents.training.train.save_checkpoint", 2, _train, tmp_path / "killed", False)
     _train(tmp_path / "killed", True)
     assert equal_weights(tmp_path / "whole", tmp_path / "killed")
-    for name, number in ((RUN, 1), (BEST, 1), (CHECKPOINT, 2), (CURVE, 2)):
+    for name, number in ((RUN, 1), (BEST, 1), (CHECKPOINT, 1), (CURVE, 1), (CHECKPOINT, 2), (CURVE, 2)):
         folder = tmp_path / f"{name}-{number}"
         with monkeypatch.context() as patch:
             hook_replace(name, number, stop, patch)

@@ -143,7 +143,7 @@ def evaluate_plan(
         print_table(f"Hours for {plan.bundle.tubes} tubes with 95 % intervals", statistics.BUNDLE_HEADER, hours)
     if goal_of(done.table.columns) != "reward":
         policy, sentence, choice = choose(done.table, oracle_policies(done))
-        title = "Which schedule, of those within the limits, few second passes; below the first row differences"
+        title = "Which schedule, of those within the limits; second row on: difference to the first"
         print_table(title, choice[0], choice[1:], left=2)
         print_line(sentence)
         if passes := compare_passes(done.table, policy, plan.config, plan.bundle):

@@ -153,9 +153,10 @@ def bounce(method: str, omega_dt: float) -> tuple[float, float]:
     period = GAP / SPEED + math.pi / omega
     steps = math.ceil(BOUNCES * period / time_step)
     state = at_rest(2)
-    state.d[0, 1], state.v[0, 1] = 0.4321 * GAP, -SPEED
+    radial = bare_chains.RADIAL
+    state.d[0, radial], state.v[0, radial] = 0.4321 * GAP, -SPEED
     run = bare_chains.run_chain(method, bare_chains.DrivenChain(chain), time_step, state, steps, 1)
-    y = run.samples[:, 1]
+    y = run.samples[:, radial]
     if not run.stable:
         return float("nan"), float("nan")
     # speeds of free flights: steps that start and end between the walls
