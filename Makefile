@@ -49,15 +49,14 @@ test: setup
 	$(MAKE) --jobs=2 --output-sync=target lint types kernels
 	$(PYTEST) -m "not slow" $(TESTS)
 
-# what takes long: the wheel, the site, training, real kills, ensembles; then, side by side, bounds checks, the quick
-# statistics as another processor rounds them (test-processors: all, more processors, other seeds), other libraries and
-# versions
+# what takes long: the wheel, the site, training, real kills, ensembles; then, side by side, bounds checks, the statistics
+# as another processor rounds them (test-processors has more processors, and other seeds), other libraries and versions
 test-slow: setup kernels
 	$(PYTEST) -m slow $(TESTS)
 	$(MAKE) --jobs=2 --output-sync=target test-haswell test-bounds test-libraries test-lowest test-zoo
 
 test-haswell: setup
-	$(BIN)/python tests/processors.py --only haswell -m "processor and not slow"
+	$(BIN)/python tests/processors.py --only haswell
 
 test-bounds: setup
 	$(BIN)/pytest tests/physics/test_bounds.py
