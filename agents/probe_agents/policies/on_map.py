@@ -19,7 +19,6 @@ from probe_env import Context
 from probe_env.arrays import FloatArray
 from probe_env.envs.contexts import DRAG_FACTOR, FRICTION, HELIX_DIAMETERS
 from probe_env.envs.task.config import TaskConfig
-from probe_env.envs.task.rules import drive_counts
 from probe_env.envs.task.scales import RF_FLOOR
 from probe_env.envs.vibration_map import CONTEXT, VibrationMap, check_measure, expected_cost, feeds, stored_map
 from probe_env.physics.closed_forms import MEASURED, entrance_tension, friction_from_tension, sliding_tension
@@ -29,7 +28,7 @@ from probe_env.schedule import Schedule
 SPACING: Final = 2.5  # [m] between knots
 FIRST: Final = 5.0  # [m], the length at which an insertion begins
 MARGIN: Final = 1.5
-"""Least ratio of the root tension of steady sliding to the task's required tension, where lost drive is scored.
+"""Least ratio of the root tension of steady sliding to the task's required tension.
 
 Simulated tensions are 3 to 10 % lower, and friction is known by an estimate.
 """
@@ -63,9 +62,15 @@ def root_tensions(
     return np.array(tensions)
 
 
-def lacking(config: TaskConfig, length: FloatArray, tension: FloatArray, margin: float) -> FloatArray:
-    """Root tension [N] that is lacking: to the margin where lost drive is scored, elsewhere to any tension."""
-    return np.where(drive_counts(config, length), margin * config.required_tension, 0.0) - tension
+def lacking_tension(
+    tube: Context, config: TaskConfig, length: FloatArray, feed: FloatArray, air: FloatArray, margin: float
+) -> FloatArray:
+    """(n,) root tension [N] that is lacking to ``margin`` times the required one.
+
+    Nearer the entrance than lost drive is scored, the air must be enough where scoring begins.
+    """
+    scored = np.maximum(length, config.lost_drive_from)
+    return margin * config.required_tension - root_tensions([tube], config, scored, feed, air)[0]
 
 
 @lru_cache(maxsize=4096)
@@ -74,8 +79,7 @@ def min_air(config: TaskConfig, tube: Context = WORST, margin: float = WORST_MAR
     length = knots(config)
     air = np.linspace(*config.air_supply_rates, 201)
     pairs = np.tile(length, len(air)), np.full(len(air) * len(length), config.permitted_feed), air.repeat(len(length))
-    pull = root_tensions([tube], config, *pairs)[0].reshape(len(air), -1)
-    enough = (lacking(config, length, pull, margin) <= 0.0).all(axis=1)
+    enough = (lacking_tension(tube, config, *pairs, margin).reshape(len(air), -1) <= 0.0).all(axis=1)
     return float(air[enough.argmax()] if enough.any() else air[-1])
 
 
@@ -115,9 +119,8 @@ def _on_grid(
     feed, air = grid(config)
     lengths, count = np.repeat(knots(config), len(feed)), len(knots(config))
     setting = lengths, np.tile(feed, count), np.tile(air, count)
-    pull = root_tensions([_context(*context)], config, *setting)[0]
     mean, deviation = vibration.predict(*setting, np.tile(context, (len(lengths), 1)), config.scene)
-    return mean, deviation, lacking(config, lengths, pull, MARGIN)
+    return mean, deviation, lacking_tension(_context(*context), config, *setting, MARGIN)
 
 
 @lru_cache(maxsize=4096)
