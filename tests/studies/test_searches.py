@@ -37,11 +37,12 @@ def simulate(monkeypatch):
 
         def run_plan(plan, output, **_):
             folders.append(output.name)
-            figures = {"inspection_time_s": 300.0, "a90_percent_wall": 20.0, "commit": SIMULATED_AT, "seed": 0}
+            figures = {"inspection_time_s": 300.0, "a90_percent_wall": 20.0, "commit": SIMULATED_AT}
             figures |= dict(zip(POD_NAMES, np.linspace(0.0, 1.0, len(POD_NAMES)), strict=True))
             return pd.DataFrame(
-                {"policy": name, "context": tube, "reward": reward(policy) + tube} | figures
+                {"policy": name, "context": tube, "seed": seed, "reward": reward(policy) + tube} | figures
                 for name, policy in plan.policies.items()
+                for seed in plan.seeds
                 for tube in range(len(plan.contexts))
             )
 
@@ -158,3 +159,27 @@ def test_law_search_keeps_a_start_that_nothing_beats(simulate, tmp_path):
     start = read_constants(STORED_INTEGRAL)
     simulate(lambda policy: -float(policy.constants != start))
     assert searches.search_plc(tmp_path, limit=1, trials=1) == start
+
+
+def test_laws_of_single_tubes_are_compared_at_seeds_that_were_not_searched(simulate, tmp_path, monkeypatch):
+    def distance(constants):
+        return float(np.abs(searches.point_of(constants) - 0.4).sum())
+
+    def recorded(plan, output, **_):
+        plans.setdefault(plan.contexts, []).append(plan)
+        return fake(plan, output)
+
+    simulate(lambda policy: -distance(policy.constants))
+    plans, fake = {}, searches.run_plan
+    monkeypatch.setattr(searches, "run_plan", recorded)
+    table = searches.search_plc_by_tube(tmp_path, limit=2, trials=30 * searches.LAWS)
+    assert len(plans) == 2
+    for tube in plans.values():
+        *searched, compared = [list(plan.seeds) for plan in tube]
+        assert searched == [[seed] for seed in range(30)]
+        assert compared == [30, 31, 32, 33]
+        own, start = (distance(tube[-1].policies[name].constants) for name in ("own", "start"))
+        assert own < 0.5 * start
+    assert table.groupby(["policy", "context"]).size().eq(4).all()
+    gain = json.loads((tmp_path / "plc-by-tube.json").read_text())["gain"]
+    assert gain["low"] == pytest.approx(gain["mean"]) == pytest.approx(start - own)

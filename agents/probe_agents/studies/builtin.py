@@ -86,6 +86,10 @@ BUILT_IN: Final[dict[str, BuiltIn]] = {
         "searches.search_plc", "Searches the constants of plc-integral.",
         {"limit": Count("tubes of a generation", 96), "trials": Count("insertions")},
     ),
+    "plc-by-tube": BuiltIn(
+        "searches.search_plc_by_tube", "What would plc-integral earn with constants for each tube?",
+        {"limit": Count("test tubes", 48), "trials": Count("insertions in each tube")},
+    ),
     "learning": BuiltIn(
         "readme.learn", "What does the README's recipe learn, with PPO and with another algorithm?",
         {"limit": Count("test tubes", 48), "trials": Count("training seeds of each recipe")},

@@ -6,6 +6,7 @@ are stored and not run again.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from itertools import count
 from pathlib import Path
 from typing import Any, Final
 
@@ -40,11 +41,11 @@ from probe_env.schedule import Schedule
 from probe_env.settings import range_of
 
 
-def plan_of(policies: Mapping[str, Policy], case: EvaluationCase) -> Plan:
+def plan_of(policies: Mapping[str, Policy], case: EvaluationCase, seeds: Sequence[int] = (0,)) -> Plan:
     """The plan of policies on the tubes of a case, at ``fast``."""
     config = case.config.full_observation
     fidelity = resolve_fidelity("fast", config.scene, round_trip=config.returns)
-    return Plan(policies, case.contexts, config=config, fidelity=fidelity)
+    return Plan(policies, case.contexts, seeds, config, fidelity)
 
 
 def write_search(output: Path, name: str, trials: pd.DataFrame, record: Mapping[str, Any], digits: int = 6) -> None:
@@ -225,6 +226,8 @@ SPREAD: Final = 0.08
 """First standard deviation as a fraction of the ranges."""
 FINALISTS: Final = 5
 """Last generations whose means are compared in the validation tubes."""
+COMPARED: Final = 4
+"""Seeds with which the laws of single tubes are compared."""
 
 
 def constants_at(x: FloatArray) -> Constants:
@@ -262,13 +265,11 @@ def search_plc(output: Path, limit: int = 6, trials: int = 8000, workers: Worker
     """
     case, start = load_case(None, "validation"), read_constants(STORED_INTEGRAL)
     source = Plant.from_toml(file_or_shipped("tubes", "fresh"))
-    config = case.config.full_observation
     rows: list[dict[str, Any]] = []
     commits: list[str] = []
 
     def simulate(laws: Mapping[str, Constants], tubes: tuple[Context, ...], folder: str) -> pd.DataFrame:
-        plan = plan_of({name: PlcIntegral(config, law) for name, law in laws.items()}, case._replace(contexts=tubes))
-        table = run_plan(plan, output / "episodes" / folder, progress=False, workers=workers)
+        table = simulate_laws(laws, case._replace(contexts=tubes), output / "episodes" / folder, workers)
         commits.extend(table["commit"])
         return table
 
@@ -294,3 +295,54 @@ def search_plc(output: Path, limit: int = 6, trials: int = 8000, workers: Worker
     print_frame(f"In {len(case.contexts)} validation tubes", compared)
     print_line(f"written: {output}/ (plc-integral.json: a policy to evaluate; plc-integral-trials.csv)")
     return laws[best]
+
+
+def search_plc_by_tube(output: Path, limit: int = 12, trials: int = 160, workers: Workers = HERE) -> pd.DataFrame:
+    """Search constants for single test tubes: what would plc-integral earn if it knew the tube?
+
+    Compares the laws "own" and "start", the stored one, at seeds that were not searched; writes their insertions.
+
+    Args:
+        output: folder of the results and of the insertions.
+        limit: number of tubes.
+        trials: number of insertions in each tube, without those of the comparison.
+        workers: processes that simulate.
+    """
+    case, start = load_case(None, "test", limit), read_constants(STORED_INTEGRAL)
+    generations, tables = max(trials // LAWS, 1), []
+    for number, tube in enumerate(case.contexts):
+        single, folder = case._replace(contexts=(tube,)), output / "episodes" / f"{number:02d}"
+        name = f"tube {number + 1} of {len(case.contexts)}"
+        laws = {"start": start, "own": _search_in(single, start, generations, name, folder, workers)}
+        unseen = range(generations, generations + COMPARED)
+        tables.append(simulate_laws(laws, single, folder / "compared", workers, unseen).assign(context=number))
+    table = pd.concat(tables, ignore_index=True)
+    gain = paired_difference(table, "own", "start", "reward")
+    compared, record = table[["policy", "context", "seed", "reward"]], origin(commits=table["commit"])
+    write_search(output, "plc-by-tube", compared, {"gain": asdict(gain), "provenance": record})
+    print_line(f"own constants minus the stored ones, in {len(tables)} test tubes: reward {gain.text()}")
+    return compared
+
+
+def _search_in(
+    tube: EvaluationCase, start: Constants, generations: int, name: str, folder: Path, workers: Workers
+) -> Constants:
+    """Mean of the last generation in a single tube. Each has another seed: a seed's motion is chaotic, not typical."""
+    seeds = count()
+
+    def rewards_of(points: FloatArray) -> list[float]:
+        laws, seed = {f"law-{k}": constants_at(point) for k, point in enumerate(points)}, next(seeds)
+        table = simulate_laws(laws, tube, folder / f"{seed:04d}", workers, [seed])
+        return [float(reward) for reward in table.set_index("policy")["reward"][[*laws]]]
+
+    *_, means = search(rewards_of, point_of(start), generations, name, SPREAD, LAWS)
+    return constants_at(means[-1])
+
+
+def simulate_laws(
+    laws: Mapping[str, Constants], case: EvaluationCase, folder: Path, workers: Workers, seeds: Sequence[int] = (0,)
+) -> pd.DataFrame:
+    """Insertions of laws in the tubes of a case; those that are stored in the folder are not run again."""
+    config = case.config.full_observation
+    plan = plan_of({name: PlcIntegral(config, law) for name, law in laws.items()}, case, seeds)
+    return run_plan(plan, folder, progress=False, workers=workers)
