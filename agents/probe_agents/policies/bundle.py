@@ -22,7 +22,7 @@ from stable_baselines3.common.policies import BasePolicy
 
 from probe_agents.policies.policy import Domain, ObservationPolicy, RangesOfTubes
 from probe_agents.policies.trained import RESTORE, read_weights
-from probe_agents.policies.view import View, without
+from probe_agents.policies.view import View
 from probe_agents.records.atomic import write_atomically
 from probe_env.arrays import BoolArray
 from probe_env.envs.episodes.actions import averaged_columns, changed_targets
@@ -83,11 +83,6 @@ class StoredNetwork(Network):
     lstm_hidden_size: int = Field(default=64, ge=1, le=2048)
     activation: Literal["ReLU", "Tanh", "ELU", "LeakyReLU", "SiLU", "GELU"] | None = None
     """Class of torch.nn; default: that of the algorithm."""
-
-    @model_validator(mode="before")
-    @classmethod
-    def _without_exploration(cls, fields: Any) -> Any:
-        return without(fields, noise_interval=0)
 
     def arguments(self, algorithm: Algorithm) -> dict[str, Any]:
         """SB3's ``policy_kwargs``."""

@@ -1,6 +1,5 @@
 """Features and actions of a trained agent: equal in training, evaluation and pictures."""
 
-from collections.abc import Mapping
 from typing import Annotated, Any, Self
 
 import gymnasium as gym
@@ -21,18 +20,11 @@ from probe_env.envs.task.scales import (
     with_present_names,
 )
 from probe_env.physics.closed_forms import MEASURED, SHAPE, friction_from_tension
-from probe_env.settings import Model, quantity, tuples
+from probe_env.settings import Model, quantity
 
 Rows = npt.NDArray[np.floating[Any]]
 TimeConstant = Annotated[float, quantity(0.1, 1e4, "s")]
 CREDIBLE, MIDDLE, HALF_RANGE = (0.05, 0.35), 0.175, 0.075
-
-
-def without(fields: Any, **unused: Any) -> Any:
-    """Fields of a stored model without those that have this value; older bundles hold them, without effect."""
-    if not isinstance(fields, Mapping):
-        return fields
-    return tuples({name: value for name, value in fields.items() if name not in unused or value != unused[name]})
 
 
 class View(Model):
@@ -50,11 +42,6 @@ class View(Model):
     friction_estimate: bool = False
     least_air_supply_rate: Annotated[float, quantity(0.0, 0.2, "m3/s")] = 0.0
     logarithmic_feed: bool = True
-
-    @model_validator(mode="before")
-    @classmethod
-    def _without_guide(cls, fields: Any) -> Any:
-        return without(fields, guide=None)
 
     @model_validator(mode="after")
     def _estimable(self) -> Self:
