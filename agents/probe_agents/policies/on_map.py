@@ -70,7 +70,7 @@ def lacking_tension(
     Nearer the entrance than lost drive is scored, the air must be enough where scoring begins.
     """
     scored = np.maximum(length, config.lost_drive_from)
-    return margin * config.required_tension - root_tensions([tube], config, scored, feed, air)[0]
+    return np.asarray(margin * config.required_tension - root_tensions([tube], config, scored, feed, air)[0])
 
 
 @lru_cache(maxsize=4096)
