@@ -57,8 +57,8 @@ LOGARITHMIC: Final = ("rf_noise", "radial_acceleration", "axial_acceleration")
 
 def with_present_names(observations: Any) -> Any:
     """A tuple of names of observations with the present ones; other values unchanged, for their validation."""
-    is_list = isinstance(observations, tuple | list)  # JSON has no tuples
-    return tuple(OLD_NAMES.get(n, n) for n in observations) if is_list else observations
+    is_sequence = isinstance(observations, tuple | list)  # JSON has no tuples
+    return tuple(OLD_NAMES.get(n, n) for n in observations) if is_sequence else observations
 
 
 def as_actions(actions: npt.ArrayLike, shape: tuple[int, ...]) -> npt.NDArray[Any]:
