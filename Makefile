@@ -49,14 +49,14 @@ test: setup
 	$(MAKE) --jobs=2 --output-sync=target lint types kernels
 	$(PYTEST) -m "not slow" $(TESTS)
 
-# what takes long: the wheel, the site, training, real kills, ensembles; then, side by side, bounds checks, the statistics
-# as another processor rounds them (test-processors has more processors, and other seeds), other libraries and versions
+# what takes long: the wheel, the site, training, real kills, ensembles; then, side by side, bounds checks, the quicker
+# statistics as another processor rounds them (test-processors: all, more processors, other seeds), other libraries and versions
 test-slow: setup kernels
 	$(PYTEST) -m slow $(TESTS)
 	$(MAKE) --jobs=2 --output-sync=target test-haswell test-bounds test-libraries test-lowest test-zoo
 
 test-haswell: setup
-	$(BIN)/python tests/processors.py --only haswell
+	$(BIN)/python tests/processors.py --only haswell -m "processor and not slow"
 
 test-bounds: setup
 	$(BIN)/pytest tests/physics/test_bounds.py
@@ -98,7 +98,7 @@ NEEDS_lowest := '.[agents,app,commands,plant]' pytest
 test-lowest: export NUMBA_CACHE_DIR = $(CURDIR)/.venv-lowest/kernels
 $(APART:%=test-%): test-%:
 	test -x .venv-$*/bin/python || $(PYTHON) -m venv .venv-$*
-	.venv-$*/bin/pip install --quiet --disable-pip-version-check --constraint tests/$*/constraints.txt --editable $(NEEDS_$*)
+	.venv-$*/bin/pip install --quiet --no-compile --disable-pip-version-check --constraint tests/$*/constraints.txt --editable $(NEEDS_$*)
 	.venv-$*/bin/pytest -W default --disable-warnings tests/$*
 
 # the app in a real browser: Debian's Chromium, driven by Playwright, which neither the app nor make test needs
