@@ -16,6 +16,7 @@ STORED = ROOT / "results" / "learning" / "curve.csv"
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_recipe_of_the_readme_reproduces_its_table(monkeypatch, tmp_path, capsys):
     """Another processor gives another sample: the bound is Student's t for one more training seed beside the five."""
     monkeypatch.chdir(tmp_path)

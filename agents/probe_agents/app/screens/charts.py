@@ -23,8 +23,8 @@ AXES: Final = {
     "reward": ("reward", 1.0),
 }
 """Label and factor of a column."""
-MIN_RMS: Final = 1e-4
-"""Lower end of the logarithmic axis [mm]."""
+RMS_RANGE: Final = (1e-3, 3.0)
+"""Ends of the logarithmic axis of the radial rms [mm]."""
 TIP_LENGTH: Final = 10.0
 """Length behind the tip in the drawing [m]."""
 SLOWED: Final = 8.0
@@ -55,9 +55,11 @@ class LengthCharts:
         style = {"color": "colour", "line_dash": "dash", "line_width": "width", "source": self.source}
         plots: list[Any] = []
         for key in keys:
-            shared = {"x_range": plots[0].x_range} if plots else {}
-            label, scale = AXES[key][0], "log" if key == RMS else "linear"
-            plot = ui.chart("inserted length [m]", label, height, y_axis_type=scale, **shared)
+            shared: dict[str, Any] = {"x_range": plots[0].x_range} if plots else {}
+            label = AXES[key][0]
+            if key == RMS:  # the same range in every run, with the limit in it
+                shared |= {"y_axis_type": "log", "y_range": RMS_RANGE}
+            plot = ui.chart("inserted length [m]", label, height, **shared)
             lines = plot.multi_line("inserted_length", key, **style, **({} if plots else {"legend_field": "name"}))
             tips = [("", "@name"), ("m", "$x{0.0}"), (label, "$y")]
             plot.add_tools(models.HoverTool(renderers=[lines], tooltips=tips))
@@ -86,7 +88,7 @@ class LengthCharts:
             line["width"] = 3.0 if name == bold else 1.8
             line["inserted_length"] = values["inserted_length"]
             line |= {key: np.asarray(values[key]) * AXES[key][1] for key in self.keys}
-            line[RMS] = np.maximum(line[RMS], MIN_RMS)
+            line[RMS] = np.maximum(line[RMS], RMS_RANGE[0])
             for key, value in line.items():
                 data[key].append(value)
         self.source.data = data

@@ -13,7 +13,7 @@ from bokeh import models
 from probe_agents.app import schedules
 from probe_agents.app.schedules import HOUR, LENGTH, MISSING, NAMES, Line, Points
 from probe_agents.app.screens import widgets as ui
-from probe_agents.app.screens.charts import MM, empty_source
+from probe_agents.app.screens.charts import MM, RMS_RANGE, empty_source
 from probe_agents.app.state import Session
 from probe_agents.evaluation.report import limit_of
 from probe_agents.records.reader import read_schedule
@@ -58,7 +58,7 @@ class ScheduleScreen(ui.Screen):
         self.length_range = models.Range1d(0.0, 60.0)
         self.charts = [self._editable(FEED, "feed speed [m/s]"), self._editable(AIR, "air supply [m³/h]")]
         label = "predicted radial rms [mm]"
-        axes: dict[str, Any] = {"x_range": self.length_range, "y_range": (1e-3, 2.0), "y_axis_type": "log"}
+        axes: dict[str, Any] = {"x_range": self.length_range, "y_range": RMS_RANGE, "y_axis_type": "log"}
         vibration = ui.chart("inserted length [m]", label, 220, "reset", **axes)
         vibration.varea("length", "low", "high", source=self.band, color=ui.ORANGE, alpha=0.25)
         vibration.line("length", "middle", source=self.band, color=ui.VERMILLION, line_width=2.5)
