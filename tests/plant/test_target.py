@@ -96,7 +96,7 @@ def test_the_target_is_met_in_simulations():
 def test_at_least_95_percent_of_other_tubes_keep_the_target(tmp_path, capsys, monkeypatch):
     """In tubes that were not searched in; with a share of 5 % above it, more than the bound are by chance of 1e-4."""
     output = tmp_path / "my.csv"
-    monkeypatch.setattr(recommendation, "BASELINES", ())  # which are not looked at here
+    monkeypatch.setattr(recommendation, "BASELINES", ("constant",))  # the fastest: others are not looked at
     assert main(["recommend", "--find", "a90=20", "--tube", "fresh", "--limit", "24", "--output", str(output)]) == 0
     episodes = read_csv(tmp_path / "my-confirmed" / "episodes.csv")
     a90 = episodes[episodes["policy"] == "recommended"]["a90_percent_wall"]
