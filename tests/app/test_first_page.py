@@ -170,7 +170,7 @@ def test_report_of_a_recommendation_begins_with_the_best(tmp_path, app):
     page = front(store(tmp_path / "run", [(SLOW, QUIET)] * 2, others=225.0, rows=rows) + '<section class="verdict">')
     assert page[:3] == ["Best for your plant:", "other", f". It is {ALLOWED}. It is {STILL}."]
     at = page.index("Which schedule")
-    assert page[at + 1] == "Other is best by hours of all passes and reward."
+    assert page[at + 1] == "Best by hours of all passes and reward is other."
     at = page.index("Your schedule")
     assert page[at : at + 3] == ["Your schedule", "mine", ": worse than the best here, other."]
     at = page.index("hours of all passes [h]", at)

@@ -50,8 +50,8 @@ def test_choice_names_what_other_policies_do_better():
     """Hours of two tubes of "loud" are 5 and of two 10: four differences of -1 and 4, with an interval."""
     _, sentence, (_, *rows) = choose(with_goal(episodes(), TASK, BUNDLE), ())
     assert sentence == (
-        "clean is best by hours of all passes, by a90 slow, by reward loud;"
-        " not clearly better by hours of all passes than loud"
+        "best by hours of all passes is clean, by a90 slow, by reward loud;"
+        " by hours of all passes not clearly better than loud"
     )
     assert rows[0] == ("hours of all passes", "clean", "6", "15", "3")
     assert (*rows[2][:2], *rows[2][3:]) == ("reward", "loud", "-3", "+2")

@@ -56,10 +56,10 @@ def choose(table: pd.DataFrame, oracles: Collection[str]) -> tuple[str, str, Row
         )
         rows.append((", ".join(names), policy, *cells))
     others = (f", by {' and '.join(names)} {policy}" for policy, names in best.items() if policy != first)
-    sentence = f"{first} is best by {' and '.join(best[first])}{''.join(others)}"
+    sentence = f"best by {' and '.join(best[first])} is {first}{''.join(others)}"
     differences = {name: paired_difference(table, name, first, goal) for name in (within or order) if name != first}
     if unclear := [name for name, found in differences.items() if found.low <= 0.0 <= found.high]:
-        sentence += f"; not clearly better by {labels[goal][0]} than {', '.join(unclear)}"
+        sentence += f"; by {labels[goal][0]} not clearly better than {', '.join(unclear)}"
     if not within:
         sentence = f"no schedule is within the limits ({broken_limits(table, first)}); of all, {sentence}"
     return first, sentence, tuple(rows)
