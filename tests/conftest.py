@@ -89,7 +89,7 @@ def rounding_of_another_processor(request: pytest.FixtureRequest) -> Iterator[No
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """``boundscheck`` compiles every kernel anew, minutes of it: only with its file or ``-m boundscheck``."""
+    """``long`` tests begin first; ``boundscheck`` compiles for minutes: only with its file or ``-m boundscheck``."""
     items.sort(key=lambda item: item.get_closest_marker("long") is None)  # or one process ends long after the other
     if "boundscheck" in config.option.markexpr or any("test_bounds" in str(argument) for argument in config.args):
         return
